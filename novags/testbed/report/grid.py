@@ -41,25 +41,17 @@ SCALES = {"peak_bytes": 1e-6}
 
 @dataclass
 class Line:
-    """The runs that differ in their seed alone.
+    """The runs that differ in their seed alone."""
 
-    Attributes:
-        place: Values of the axes but method and seed.
-        method: Name of the method.
-        runs: Its rows of the study's table.
-        spread: Mean and standard deviation over the seeds (None of fewer than two) by column; columns without a value
-            are missing.
-        places: Its rank among those that compete at the same place, by column.
-        alike: Whether all methods at this place are compared with noise-free pictures of the same enhancement; only
-            then do scores against these rank them.
-    """
-
-    place: dict[str, Any]
+    place: dict[str, Any]  # values of the axes but method and seed
     method: str
-    runs: list[Row]
+    runs: list[Row]  # its rows of the study's table
+    # Mean and standard deviation over the seeds (None of fewer than two) by column, where there are values.
     spread: dict[str, tuple[float, float | None]] = field(default_factory=dict)
-    places: dict[str, int] = field(default_factory=dict)
-    alike: bool = True
+    places: dict[str, int] = field(
+        default_factory=dict
+    )  # its rank among those that compete at the same place, by column
+    alike: bool = True  # whether references at this place are enhanced alike: else scores against them rank nothing
 
     @property
     def where(self) -> str:
@@ -76,13 +68,10 @@ def lines_of(
     rows: Sequence[Row], axes: Mapping[str, Any], competes: Mapping[str, bool],
     enhancements: Mapping[int, str] | None = None,
 ) -> list[Line]:  # fmt: skip
-    """One line for each combination of all axes but the seed, best first at each place.
+    """One line for each combination of all axes but the seed of a study's table, best first at each place.
 
-    Args:
-        rows: Of the study's table.
-        axes: Its axes.
-        competes: Whether a method may be the best, by name.
-        enhancements: What the noise-free pictures of each run are enhanced by, by number of the row, where known.
+    `competes`: whether a method may be the best, by name; `enhancements`: what the noise-free pictures of each run are
+    enhanced by, by number of the row, where known.
     """
     others = [name for name in axes if name not in (METHOD, SEED)]
     groups: dict[tuple[Any, ...], Line] = {}

@@ -37,14 +37,13 @@ class Block:
 
 
 class Column(NamedTuple):
-    """A column of a table; `more`: whether more is better; `arrow`: whether an arrow says so."""
+    """A column of a table; `more`: whether more is better, which an arrow says."""
 
     heading: Any
     unit: str = ""
     kind: str | None = None  # its class: "num", "rank", "wide"; None of text
     more: bool | None = None
     attributes: Attributes = {}  # of its heading
-    arrow: bool = True
 
 
 class Cell(NamedTuple):

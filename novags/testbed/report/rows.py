@@ -19,29 +19,17 @@ UNLISTED = ("fit.checkpoint_every", "fit.seed", "fit.extent", "fit.backend")  # 
 
 @dataclass(frozen=True)
 class Row:
-    """One run in tables and charts.
+    """One run in tables and charts."""
 
-    Attributes:
-        name: Of the run.
-        key: Of its CSS class.
-        method: Of the method.
-        title: What it does.
-        family: Of the method.
-        color: "#rrggbb", different for every run of a report.
-        bound: "floor", "ceiling" or None, for a method with its own settings; a variant is not a bound.
-        competes: Whether it may be the best: a method that sees any truth may not.
-        enhancement: What its noise-free reference is enhanced by: runs that differ in it have no reference in common.
-    """
-
-    name: str
-    key: str
-    method: str
-    title: str
-    family: str
-    color: str
-    bound: str | None
-    competes: bool
-    enhancement: str
+    name: str  # of the run
+    key: str  # of its CSS class
+    method: str  # of the method
+    title: str  # what it does
+    family: str  # of the method
+    color: str  # "#rrggbb", different for every run of a report
+    bound: str | None  # "floor", "ceiling" or None, for a method with its own settings; a variant is not a bound
+    competes: bool  # whether it may be the best: a method that sees any truth may not
+    enhancement: str  # what its noise-free reference is enhanced by: runs that differ in it have no reference in common
 
 
 def enhancement_of(run: Run) -> str:
@@ -69,11 +57,9 @@ def rows_of(runs: Mapping[str, Run]) -> dict[str, Row]:
 
 
 def looks_of(names: Iterable[str], study: Mapping[str, Any]) -> dict[str, Row]:
-    """The rows of a study's methods, by name, in their order; also of those without a run.
+    """The rows of a study's methods, variants and programs, by name, in their order; also of those without a run.
 
-    Args:
-        names: Of methods, variants and programs.
-        study: The content of the study file: the tables of its own variants and programs, and what it sets for all.
+    `study`: the content of its file, with the tables of its own variants and programs, and what it sets for all.
     """
     programs = study.get("method", {})
     variants = with_variants(

@@ -1,28 +1,16 @@
 """The outcome in a sentence and in numbers: which run comes first, by how much, and which scores disagree."""
 
-from collections.abc import Iterator
 from typing import Any
 
 from novags.testbed.report.place import Place
-from novags.testbed.report.tables import (
-    COLUMNS,
-    GEOMETRY,
-    GIVEN,
-    NOISE,
-    OWN,
-    PLAIN,
-    Columns,
-    Placed,
-    measured,
-    ranked,
-    score_table,
-)
+from novags.testbed.report.tables import COLUMNS, GIVEN, OWN, PLAIN, measured, ranked, scores_of
 from novags.testbed.report.words import duration, join, signed
 
 AGAINST = {
     "enhanced": "the noise-free exposure", "enhanced_demosaiced": "the noise-free exposure, demosaiced",
     "linear": "the noise-free exposure in linear light",
     "linear_demosaiced": "the noise-free exposure in linear light, demosaiced", "lit": "the well-lit truth",
+    "geometry": "the true surfaces",
 }  # fmt: skip
 
 
@@ -41,29 +29,21 @@ def leading(place: Place) -> tuple[str, str, str] | None:
     return None
 
 
-def placed_in(place: Place, kind: str) -> Placed:
-    """Which run takes a place by which score against a reference: what does not compare takes none."""
-    if kind in OWN:
-        return lambda name, key: place.one_reference
-    if kind == "lit":
-        return lambda name, key: key not in PLAIN or name not in place.exposures
-    return lambda name, key: True
+def table_of(place: Place, kind: str) -> list[dict[str, Any]]:
+    """The runs by the scores against a reference, or by "geometry" or "noise": what does not compare takes no place.
 
+    Neither do scores against references of their own, nor plain ones of linear light, whose exposure the well-lit
+    truth decides. The change of colour is in the code of a run's own enhancement, which is smaller the darker that is.
+    """
 
-def geometry_table(place: Place) -> list[dict[str, Any]]:
-    """Depth scores of each run; empty where the true depth is not known."""
-    found = {name: m["geometry"] for name, m in place.metrics["methods"].items() if m.get("geometry")}
-    flat = {name: {**scores, "consistency": scores["consistency"]["excess"]} for name, scores in found.items()}
+    def placed(name: str, key: str) -> bool:
+        if kind == "lit":
+            return key not in PLAIN or name not in place.exposures
+        own = kind in OWN or key == "consistency" or kind == "noise"
+        return key not in GIVEN and (place.one_reference or not own)
+
     competes = {name: row.competes for name, row in place.rows.items()}
-    # The change of colour is in the code of a run's own enhancement, which is smaller the darker that is.
-    return ranked(flat, GEOMETRY, competes, lambda name, key: key != "consistency" or place.one_reference)
-
-
-def noise_table(place: Place) -> list[dict[str, Any]]:
-    """What is left of the known noise in each run; empty where it is not known."""
-    found = {name: m["noise"] for name, m in place.metrics["methods"].items() if m.get("noise")}
-    competes = {name: row.competes for name, row in place.rows.items()}
-    return ranked(found, NOISE, competes, lambda name, key: place.one_reference and key not in GIVEN)
+    return ranked(scores_of(place.metrics, kind), COLUMNS[kind], competes, placed)
 
 
 def _values(place: Place) -> dict[str, float | None]:
@@ -128,8 +108,9 @@ def _dissent(place: Place, kind: str, main_score: str, best: str) -> str:
     Those in which the best run takes no place say nothing of it.
     """
     first: dict[tuple[str, str], list[str]] = {}
-    for where, columns, rows in _tables(place, kind):
-        for key, heading, *_ in columns:
+    for against in sorted(AGAINST, key=lambda other: other != kind):
+        where, rows = "" if against == kind else f" against {AGAINST[against]}", table_of(place, against)
+        for key, heading, *_ in COLUMNS[against]:
             ranks = {row["method"]: cell["rank"] for row in rows for cell in row["cells"] if cell["key"] == key}
             marked = [name for name, rank in ranks.items() if rank == 1]
             if (where, key) != ("", main_score) and ranks.get(best) is not None and best not in marked:
@@ -138,15 +119,6 @@ def _dissent(place: Place, kind: str, main_score: str, best: str) -> str:
         return ""
     said = (f"by {join(scores)}{where}: {name} comes first" for (where, name), scores in first.items())
     return f" Not so {'; '.join(said)}."
-
-
-def _tables(place: Place, main: str) -> Iterator[tuple[str, Columns, list[dict[str, Any]]]]:
-    """The tables of pictures and depth, that of the main reference first: against what, columns, rows."""
-    competes = {name: row.competes for name, row in place.rows.items()}
-    for kind in sorted(COLUMNS, key=lambda kind: kind != main):
-        rows = score_table(place.metrics, kind, competes, placed_in(place, kind))
-        yield "" if kind == main else f" against {AGAINST[kind]}", COLUMNS[kind], rows
-    yield " against the true surfaces", GEOMETRY, geometry_table(place)
 
 
 def cards(place: Place, seconds: float) -> list[dict[str, str]]:

@@ -1,20 +1,19 @@
 """How much light the pixels got: a histogram in electrons, or in codes where they are not known; shares of many."""
 
+import math
 from collections.abc import Sequence
-from html import escape
 from typing import Any
 
 import numpy as np
 
 from novags.testbed.folders.capture import Capture
-from novags.testbed.report.charts import plot_data
+from novags.testbed.report.charts import LEFT, TOP, Frame, Told, log_ticks, scale
 from novags.testbed.report.grid import by_place
 from novags.testbed.report.material import Material
 from novags.testbed.report.parts import Page, Table, TableRow, heads, num
 
-WIDTH, HEIGHT = 640, 240
-LEFT, RIGHT, TOP, BOTTOM = 96, 16, 14, 46  # room for the larger letters that telephones get
-CLASSES = {"red": "red", "green": "green", "blue": "blue"}
+HEIGHT = 240
+CHANNELS = ("red", "green", "blue")
 BINS = 60
 SHARES = {"0.01": "1 % get less", "0.25": "a quarter", "0.5": "half", "0.75": "three quarters", "0.99": "99 %"}
 
@@ -76,7 +75,7 @@ def by_filter(values: np.ndarray, cfa: str | None) -> np.ndarray:
 def _shares(values: np.ndarray, edges: np.ndarray) -> dict[str, np.ndarray]:
     """The share of each channel's pixels in each bin."""
     found = {}
-    for channel, name in enumerate(CLASSES):
+    for channel, name in enumerate(CHANNELS):
         known = values[np.isfinite(values[:, channel]), channel]
         if known.size:
             found[name] = np.histogram(known, edges)[0] / known.size
@@ -84,37 +83,22 @@ def _shares(values: np.ndarray, edges: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def _chart(shares: dict[str, np.ndarray], edges: np.ndarray, x_label: str, *, logarithmic: bool) -> str:
-    top = max(share.max() for share in shares.values()) or 1.0
-    scale = np.log(edges) if logarithmic else edges
-    xs = LEFT + (WIDTH - LEFT - RIGHT) * (scale - scale[0]) / (scale[-1] - scale[0])
-    floor = HEIGHT - BOTTOM
-    parts = [f'<rect class="frame" x="{LEFT}" y="{TOP}" width="{WIDTH - LEFT - RIGHT}" height="{floor - TOP}"/>']
-    series = []
+    top, of = max(share.max() for share in shares.values()) or 1.0, math.log if logarithmic else float
+    frame = Frame(scale(of(edges[0]), of(edges[-1]), of), scale(0.0, top), height=HEIGHT)
+    floor, centre = (
+        frame.at(edges[0], 0)[1],
+        np.sqrt(edges[1:] * edges[:-1]) if logarithmic else edges[1:] / 2 + edges[:-1] / 2,
+    )
+    start, end = frame.at(edges[0], 0)[0], frame.at(edges[-1], 0)[0]
+    parts = [f'<rect class="frame" x="{LEFT}" y="{TOP}" width="{end - start:g}" height="{floor - TOP}"/>']
+    told = list[Told]()
     for place, (name, share) in enumerate(shares.items()):
-        ys = floor - (floor - TOP) * share / top
-        path = f"M{xs[0]:.1f},{floor}" + "".join(f"V{y:.1f}H{x:.1f}" for y, x in zip(ys, xs[1:], strict=True))
+        corners = [frame.at(edge, part) for edge, part in zip(edges[1:], share, strict=True)]
+        path = f"M{start:.1f},{floor}" + "".join(f"V{y:.1f}H{x:.1f}" for x, y in corners)
         parts.append(f'<path class="line dash{place} {name}" d="{path}"><title>{name}</title></path>')
-        middle = (xs[1:] + xs[:-1]) / 2
-        centre = np.sqrt(edges[1:] * edges[:-1]) if logarithmic else (edges[1:] + edges[:-1]) / 2
-        series.append((name, name, [(float(a), float(b), f"{c:.3g}", f"{s:.2%}")
-                                    for a, b, c, s in zip(middle, ys, centre, share, strict=True)]))  # fmt: skip
-    for value in _ticks(edges, logarithmic):
-        x = np.interp(np.log(value) if logarithmic else value, scale, xs)
-        parts.append(f'<text class="tick" x="{x:.1f}" y="{floor + 18}" text-anchor="middle">{value:g}</text>')
-    parts.append(f'<text class="tick" x="{LEFT - 8}" y="{TOP + 10}" text-anchor="end">{top:.1%}</text>')
-    middle_x = (LEFT + WIDTH - RIGHT) / 2
-    parts.append(f'<text class="axis" x="{middle_x}" y="{HEIGHT - 6}" text-anchor="middle">{escape(x_label)}</text>')
-    turned = f'transform="translate(20 {(TOP + floor) / 2}) rotate(-90)"'
-    parts.append(f'<text class="axis" {turned} text-anchor="middle">share of the pixels</text>')
-    label = f"Histogram of {x_label}"
-    opened = f'<svg class="chart" viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{label}"'
-    return f"{opened} {plot_data(series, x_label)}>{''.join(parts)}</svg>"
-
-
-def _ticks(edges: np.ndarray, logarithmic: bool) -> list[float]:
-    if not logarithmic:
-        return [0, 64, 128, 192, 255]
-    low, high = int(np.floor(np.log10(edges[0]))), int(np.ceil(np.log10(edges[-1])))
-    steps = (1, 2, 5) if high - low <= 3 else (1,)
-    found = [step * 10.0**power for power in range(low, high + 1) for step in steps]
-    return [value for value in found if edges[0] <= value <= edges[-1]]
+        told.append((name, name, [(*frame.at(c, part), f"{c:.3g}", f"{part:.2%}")
+                                  for c, part in zip(centre, share, strict=True)]))  # fmt: skip
+    ticks = log_ticks(math.log10(edges[0]), math.log10(edges[-1])) if logarithmic else [0, 64, 128, 192, 255]
+    across = [(value, f"{value:g}") for value in ticks]
+    return frame.drawn(parts, told, across, [(top, f"{top:.1%}")], x_label=x_label, y_label="share of the pixels",
+                       title=f"Histogram of {x_label}", rules=False)  # fmt: skip

@@ -1,14 +1,12 @@
 """What led to the scores of one place: its cameras, its training pictures, its losses."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
-from novags.testbed.folders.run import Run
 from novags.testbed.report.charts import line_chart
 from novags.testbed.report.material import Material
 from novags.testbed.report.parts import Page, Table, TableRow, heads, num
-from novags.testbed.report.rows import Row
 from novags.testbed.report.words import named, share
 
 SMALLEST = 1e-45  # a loss of 32 bits above 0
@@ -50,26 +48,22 @@ def flat(material: Material, page: Page) -> dict[str, Any] | None:
 
 
 def training(material: Material, page: Page) -> dict[str, Any] | None:
-    """Photometric loss over the iterations, one line for each run."""
-    return None if material.one is None else loss_chart(material.one.runs, material.one.rows)
-
-
-def loss_chart(runs: Mapping[str, Run], rows: Mapping[str, Row]) -> dict[str, Any] | None:
     """Photometric loss over the iterations, one line for each run, and what stands for which; None without a log.
 
     The fits of a run stand one after the other, with a gap between them: each has targets of its own.
     """
+    if (place := material.one) is None:
+        return None
     series = {}
-    for name, run in runs.items():
+    for name, run in place.runs.items():
         points = [(e["iteration"], _drawn(e["photometric"])) for e in run.events() if "photometric" in e]
         series[name] = [point for fit in fits(points) for point in ((fit[0][0], math.nan), *smoothed(fit))]
     if not any(loss > 0 for points in series.values() for _, loss in points):
         return None
-    keys = {name: row.key for name, row in rows.items()}
+    keys = {name: row.key for name, row in place.rows.items()}
     series = {name: points for name, points in series.items() if points}
-    chart = line_chart(
-        series, keys, x_label="iteration", y_label="photometric loss", title="Photometric loss over iterations"
-    )
+    title = "Photometric loss over iterations"
+    chart = line_chart(series, keys, x_label="iteration", y_label="photometric loss", title=title)
     return {"chart": chart, "key": [(name, keys[name]) for name in series]}
 
 

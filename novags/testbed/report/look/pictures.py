@@ -42,25 +42,15 @@ class Tile:
 
 @dataclass(frozen=True)
 class ViewTiles:
-    """All pictures of one view, and what is known of its pixels.
+    """All pictures of one view, and what is known of its pixels."""
 
-    Attributes:
-        name: Of the view.
-        held_out: Whether no method was shown it.
-        width: Of the camera, pixels.
-        height: Of the camera, pixels.
-        tiles: Its pictures.
-        probe: The header of its pixels' numbers; None without raw frames.
-        data: These numbers.
-    """
-
-    name: str
-    held_out: bool
-    width: int
-    height: int
-    tiles: tuple[Tile, ...]
-    probe: dict[str, Any] | None = None
-    data: Script | None = None
+    name: str  # of the view
+    held_out: bool  # whether no method was shown it
+    width: int  # of the camera, pixels
+    height: int  # of the camera, pixels
+    tiles: tuple[Tile, ...]  # its pictures
+    probe: dict[str, Any] | None = None  # the header of its pixels' numbers; None without raw frames
+    data: Script | None = None  # these numbers
 
     @property
     def has_depth(self) -> bool:
@@ -92,12 +82,8 @@ class _Tiles:
 def view_tiles(i: int, place: Place, album: Album, called: str = "") -> ViewTiles:
     """Everything there is to see of view `i`; its pictures go into `album`.
 
-    Args:
-        i: The view.
-        place: Capture and runs. The main run is the one whose denoised images are shown, and whose depth sets the
-            scale of all.
-        album: Of the page.
-        called: Which place it is, on a page that shows several.
+    The denoised images are those of the main run, whose depth sets the scale of all. `called`: which place it is, on a
+    page that shows several.
     """
     capture, runs, main = place.capture, place.runs, place.main
     name, held_out = capture.names[i], i in capture.cameras.test_indices
@@ -149,12 +135,7 @@ def shown(image: np.ndarray, kind: str) -> np.ndarray:
 
 
 def render_note(scores: Mapping[str, Any] | None, held_out: bool) -> str:
-    """What the caption of a render says: whether the view is held out, and its score.
-
-    Args:
-        scores: Of this view, by reference.
-        held_out: Whether no method was shown the view.
-    """
+    """What the caption of a render says: whether the view is held out, and its score, of those by reference."""
     if not held_out:
         return "a training view"
     first = next(iter((scores or {}).values()), None)
