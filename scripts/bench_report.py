@@ -18,7 +18,7 @@ from typing import Any
 
 from novags.process import settle
 from novags.testbed.report.look.album import files_of
-from novags.testbed.report.study.page import write_study
+from novags.testbed.report.page import write_study
 
 
 def repeated(study: Path, out: Path, runs: int) -> None:

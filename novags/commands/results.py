@@ -12,7 +12,7 @@ from novags.options import Folder, Folders
 _Reference = Literal["lit", "linear", "clean", "linear_demosaiced", "clean_demosaiced"]
 
 if TYPE_CHECKING:
-    from novags.testbed.results.comparison import Group
+    from novags.testbed.report.place import Place
 
 
 def score(
@@ -50,7 +50,7 @@ def score(
     if reference is not None:
         raise ValueError(f"--reference {reference} belongs to --renders: runs are scored against all that there are")
     from novags.testbed.folders.experiment import experiments_in
-    from novags.testbed.results.comparison import groups_of
+    from novags.testbed.report.place import places_in
     from novags.testbed.study.place import score_all
 
     for folder in [part for given in runs for part in experiments_in(given)]:
@@ -58,12 +58,12 @@ def score(
             score_all(folder, console)
     if dry_run:
         return
-    groups = groups_of(runs, shared.console())
-    for group in groups:
-        if len(groups) > 1:
-            say(f"{group.title}:")
-        for name, scores in group.metrics["methods"].items():
-            say(f"{name}: {_in_words(scores['mean'], group, name)}")
+    places = places_in(runs, shared.console())
+    for place in places:
+        if len(places) > 1:
+            say(f"{place.title}:")
+        for name, scores in place.metrics["methods"].items():
+            say(f"{name}: {_in_words(scores['mean'], place, name)}")
     next_(f"novags report {' '.join(typed(run) for run in runs)}")
 
 
@@ -112,7 +112,7 @@ def export_results(
         say(export(runs, out, console, reference=reference, dataset=dataset, overwrite=overwrite))
 
 
-def _in_words(mean: Mapping[str, Any], group: "Group", name: str) -> str:
+def _in_words(mean: Mapping[str, Any], place: "Place", name: str) -> str:
     """Main scores of a run, what it has over the floor, and what it recovers."""
     words = []
     for kind, number, what, share in (
@@ -121,9 +121,9 @@ def _in_words(mean: Mapping[str, Any], group: "Group", name: str) -> str:
     ):
         if number not in (mean.get(kind) or {}):
             continue
-        delta, base = group.deltas(kind)
+        delta, base = place.deltas(kind)
         found = f", {delta[name]:+.2f} over {base}" if name in delta else ""
-        recovered = group.metrics[share].get(name)
+        recovered = place.metrics[share].get(name)
         found += "" if recovered is None else f", {recovered:.0%} recovered"
         words.append(what.format(_decibels(mean[kind][number]), found))
     return "; ".join(words) or "not scored: no truth is known (see unavailable in metrics.json)"
@@ -147,8 +147,8 @@ def report(
         dry_run: Only say which files would be made, or made again; whether pictures need a folder beside the page is
             seen when it is made. Nothing is written.
     """
-    from novags.testbed.report.page import report_path, write_reports
-    from novags.testbed.report.study.page import is_study, write_study
+    from novags.testbed.report.page import report_path, write_reports, write_study
+    from novags.testbed.report.study import is_study
 
     if len(runs) == 1 and is_study(runs[0]):
         with writing((out or runs[0] / "x").parent, wait, make=out is not None, dry_run=dry_run):

@@ -80,7 +80,7 @@ def terminated(*_: object) -> NoReturn:
 
 def command_line(folder: Path) -> str:
     """What was typed, as a command that does the same when it is run in `folder`."""
-    from novags.testbed.results.again import relative_command
+    from novags.testbed.report.again import relative_command
 
     return relative_command(sys.argv[1:], folder)
 

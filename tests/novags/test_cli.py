@@ -307,8 +307,7 @@ def test_commands_that_messages_advise_are_such_that_a_shell_takes(
 ) -> None:
     from novags.testbed.budget.known import known
     from novags.testbed.console import Console
-    from novags.testbed.report import page
-    from novags.testbed.results.comparison import merged
+    from novags.testbed.report import place
     from novags.testbed.stages import import_photographs
     from novags.testbed.stages.configs.importing import ImportConfig
 
@@ -316,14 +315,14 @@ def test_commands_that_messages_advise_are_such_that_a_shell_takes(
     folder.mkdir()
     (folder / "curves.jsonl").write_text("")
     (folder / "one.png").touch()  # photographs without cameras
-    monkeypatch.setattr(page, "find_runs", lambda _: {})
+    monkeypatch.setattr(place, "find_runs", lambda _: {})
     run: Any = SimpleNamespace(path=folder, scores=lambda: None)
     quiet = Console(quiet=True)
     for attempt, advice in (
         (lambda: import_photographs(folder, tmp_path / "out", ImportConfig(), quiet), "novags poses {} --out SET"),
         (lambda: known(folder), "novags pareto METHOD --out {} measures"),
-        (lambda: page.read_material(folder, quiet), "run novags score {} first"),
-        (lambda: merged({"naive": run}), "run novags score {}"),
+        (lambda: place.read_place(folder, quiet), "run novags score {} first"),
+        (lambda: place.merged({"naive": run}), "run novags score {}"),
     ):
         with pytest.raises(ValueError, match=re.escape(advice.format(f"'{folder}'"))):
             attempt()

@@ -18,7 +18,7 @@ from novags.testbed.folders.run import CAMERAS, SCENE, Run
 from novags.testbed.folders.set import Source
 from novags.testbed.ledger.dry import planned
 from novags.testbed.references import pictured, references
-from novags.testbed.report.pictures import LONG, TRUTHS
+from novags.testbed.report.look.pictures import LONG, TRUTHS
 from novags.testbed.viewer.splats import scene_of
 from novags.testbed.viewer.world import own_cameras
 from sensor_model.files.records import read_record

@@ -2,15 +2,65 @@
 
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from html import escape
 from itertools import groupby
 
-WIDTH, HEIGHT = 640, 300
-LEFT, RIGHT, TOP, BOTTOM = 96, 16, 14, 46  # room for the larger letters that telephones get
+LEFT, TOP, BOTTOM = 96, 14, 46  # room for the larger letters that telephones get
 
 DASHES = 4  # patterns of lines, one after the other: colours alone do not tell lines apart for everybody
 Series = Mapping[str, Sequence[tuple[float, float]]]
+# Name, CSS class, and points of a line: x and y in the picture, then their values as text.
+Told = tuple[str, str, Sequence[tuple[float, float, str, str]]]
+Ticks = Iterable[tuple[float, str]]  # values, and what is said of them
+
+
+def scale(low: float, high: float, of: Callable[[float], float] = float) -> Callable[[float], float]:
+    """What makes a share of the way from `low` to `high` of a value, or of its logarithm, say."""
+    return lambda value: (of(value) - low) / (high - low)
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Where values lie in a picture."""
+
+    x: Callable[[float], float]  # from a value to the share of the way to the right
+    y: Callable[[float], float]  # or upwards
+    width: int = 640  # of the picture, px
+    height: int = 300
+    right: int = 16  # px that are left free there
+
+    def at(self, x: float, y: float) -> tuple[float, float]:
+        """A point in the picture."""
+        floor = self.height - BOTTOM
+        return LEFT + (self.width - LEFT - self.right) * self.x(x), floor - (floor - TOP) * self.y(y)
+
+    def drawn(
+        self, parts: Iterable[str], lines: Iterable[Told], across: Ticks, up: Ticks, *, x_label: str, y_label: str,
+        title: str, rules: bool = True,
+    ) -> str:  # fmt: skip
+        """The picture of these parts, with axes, and with the lines' values for a script that shows them."""
+        told = [{"name": name, "key": key, "points": [[round(x, 1), round(y, 1), a, b] for x, y, a, b in points]}
+                for name, key, points in lines]  # fmt: skip
+        data = json.dumps({"x": x_label, "lines": told}, separators=(",", ":"), ensure_ascii=False)
+        end, floor = self.width - self.right, self.height - BOTTOM
+        found = [f'<svg class="chart" viewBox="0 0 {self.width} {self.height}" role="img" aria-label="{escape(title)}" '
+                 f'data-plot="{escape(data)}">']  # fmt: skip
+        for value, text in up:
+            y = floor - (floor - TOP) * self.y(value)
+            if rules:
+                found.append(f'<line class="rule" x1="{LEFT}" x2="{end}" y1="{y:.1f}" y2="{y:.1f}"/>')
+            below = 4 if rules else 10
+            found.append(f'<text class="tick" x="{LEFT - 8}" y="{y + below:.1f}" text-anchor="end">{text}</text>')
+        for value, text in across:
+            x = LEFT + (end - LEFT) * self.x(value)
+            found.append(f'<text class="tick" x="{x:.1f}" y="{floor + 18}" text-anchor="middle">{text}</text>')
+        middle, turned = (LEFT + end) / 2, f'transform="translate(20 {(TOP + floor) / 2}) rotate(-90)"'
+        label = f'x="{middle}" y="{self.height - 6}" text-anchor="middle"'
+        found += [*parts, f'<text class="axis" {label}>{escape(x_label)}</text>',
+                  f'<text class="axis" {turned} text-anchor="middle">{escape(y_label)}</text>', "</svg>"]  # fmt: skip
+        return "".join(found)
 
 
 def line_chart(series: Series, keys: Mapping[str, str], *, x_label: str, y_label: str, title: str) -> str:
@@ -22,50 +72,16 @@ def line_chart(series: Series, keys: Mapping[str, str], *, x_label: str, y_label
     points = [p for line in series.values() for p in line if p[1] > 0]
     if not points:
         raise ValueError("a line chart needs at least one point with y > 0")
-    x_max = max(x for x, _ in points) or 1.0
-    y_low, y_high = _log_range([y for _, y in points])
-
-    def place(x: float, y: float) -> tuple[float, float]:
-        along = LEFT + (WIDTH - LEFT - RIGHT) * x / x_max
-        share = (math.log10(y) - y_low) / (y_high - y_low)
-        return along, HEIGHT - BOTTOM - (HEIGHT - TOP - BOTTOM) * share
-
-    placed = [(name, keys[name], [(*place(x, y), f"{x:g}", f"{y:.4g}") for x, y in line if y > 0])
-              for name, line in series.items()]  # fmt: skip
-    parts = [f'<svg class="chart" viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{escape(title)}" '
-             f"{plot_data(placed, x_label)}>"]  # fmt: skip
-    for tick in log_ticks(y_low, y_high):
-        _, y = place(0, tick)
-        parts.append(f'<line class="rule" x1="{LEFT}" x2="{WIDTH - RIGHT}" y1="{y:.1f}" y2="{y:.1f}"/>')
-        parts.append(f'<text class="tick" x="{LEFT - 8}" y="{y + 4:.1f}" text-anchor="end">{tick:g}</text>')
-    for tick in linear_ticks(x_max):
-        x, _ = place(tick, 10**y_low)
-        parts.append(f'<text class="tick" x="{x:.1f}" y="{HEIGHT - BOTTOM + 18}" text-anchor="middle">{tick:g}</text>')
+    x_max, (low, high) = max(x for x, _ in points) or 1.0, _log_range([y for _, y in points])
+    frame, parts, told = Frame(scale(0.0, x_max), scale(low, high, math.log10)), list[str](), list[Told]()
     for number, (name, line) in enumerate(series.items()):
         pieces = [list(piece) for drawn, piece in groupby(line, lambda point: point[1] > 0) if drawn]
-        path = "".join(f"M{'L'.join('{:.1f},{:.1f}'.format(*place(*point)) for point in piece)}" for piece in pieces)
-        parts.append(
-            f'<path class="line dash{number % DASHES} {escape(keys[name])}" d="{path}">'
-            f"<title>{escape(name)}</title></path>"
-        )
-    middle, centre = (LEFT + WIDTH - RIGHT) / 2, (TOP + HEIGHT - BOTTOM) / 2
-    parts.append(f'<text class="axis" x="{middle}" y="{HEIGHT - 6}" text-anchor="middle">{escape(x_label)}</text>')
-    turned = f'transform="translate(20 {centre}) rotate(-90)"'
-    parts.append(f'<text class="axis" {turned} text-anchor="middle">{escape(y_label)}</text>')
-    return "".join([*parts, "</svg>"])
-
-
-def plot_data(series: Iterable[tuple[str, str, Sequence[tuple[float, float, str, str]]]], x_label: str) -> str:
-    """The attribute by which a script shows the values of a chart where one points at it.
-
-    Args:
-        series: Name, CSS class, and points: x and y in the picture, then their values as text.
-        x_label: What the x axis is.
-    """
-    lines = [{"name": name, "key": key, "points": [[round(x, 1), round(y, 1), a, b] for x, y, a, b in points]}
-             for name, key, points in series]  # fmt: skip
-    found = json.dumps({"x": x_label, "lines": lines}, separators=(",", ":"), ensure_ascii=False)
-    return f'data-plot="{escape(found)}"'
+        path = "".join(f"M{'L'.join('{:.1f},{:.1f}'.format(*frame.at(*point)) for point in piece)}" for piece in pieces)
+        style = f"line dash{number % DASHES} {escape(keys[name])}"
+        parts.append(f'<path class="{style}" d="{path}"><title>{escape(name)}</title></path>')
+        told.append((name, keys[name], [(*frame.at(x, y), f"{x:g}", f"{y:.4g}") for x, y in line if y > 0]))
+    across, up = ([(tick, f"{tick:g}") for tick in found] for found in (ticks(0.0, x_max), log_ticks(low, high)))
+    return frame.drawn(parts, told, across, up, x_label=x_label, y_label=y_label, title=title)
 
 
 def _log_range(values: Sequence[float]) -> tuple[float, float]:
@@ -85,9 +101,10 @@ def log_ticks(low: float, high: float) -> list[float]:
     return fitting
 
 
-def linear_ticks(largest: float) -> list[float]:
-    """About five round numbers from 0 to `largest`."""
-    rough = largest / 5
+def ticks(low: float, high: float) -> list[float]:
+    """About five round numbers between two values."""
+    rough = (high - low) / 5
     power = 10.0 ** math.floor(math.log10(rough))
     step = next(factor * power for factor in (1, 2, 5, 10) if factor * power >= rough)
-    return [step * k for k in range(int(largest / step + 1e-9) + 1)]
+    first = math.ceil(low / step - 1e-9)
+    return [round(step * k, 12) for k in range(first, math.floor(high / step + 1e-9) + 1)]

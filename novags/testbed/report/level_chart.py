@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 
-from novags.testbed.report.charts import plot_data
+from novags.testbed.report.charts import TOP, Frame, Told, scale, ticks
 
 WIDTH, HEIGHT = 720, 340  # higher where the legend needs it
-LEFT, RIGHT, TOP, BOTTOM = 96, 205, 14, 46  # room for the larger letters that telephones get
+RIGHT = 205  # room for the legend
 MARKS = (  # of lines one after the other: not by colour alone
     "M-4,-4h8v8h-8z",
     "M0,-5L5,4H-5z",
@@ -31,21 +31,13 @@ svg { background: #fff; font-family: system-ui, sans-serif; --line: #e2e2df; --m
 
 @dataclass(frozen=True)
 class Line:
-    """One curve.
+    """One curve."""
 
-    Attributes:
-        name: In the legend.
-        key: CSS class that gives it its colour.
-        points: (x, mean, least, largest) from left to right.
-        dashed: Whether it is a bound.
-        knee: Where it breaks, x; None if it does not.
-    """
-
-    name: str
-    key: str
-    points: Sequence[tuple[float, float, float, float]]
-    dashed: bool = False
-    knee: float | None = None
+    name: str  # in the legend
+    key: str  # CSS class that gives it its colour
+    points: Sequence[tuple[float, float, float, float]]  # (x, mean, least, largest) from left to right
+    dashed: bool = False  # whether it is a bound
+    knee: float | None = None  # where it breaks, x; None if it does not
 
 
 def level_chart(lines: Sequence[Line], *, x_label: str, y_label: str, title: str) -> str:
@@ -57,23 +49,23 @@ def level_chart(lines: Sequence[Line], *, x_label: str, y_label: str, title: str
     points = [point for line in lines for point in line.points]
     if not points or min(x for x, *_ in points) <= 0:
         raise ValueError("a chart over the light needs at least one point, and light > 0 at every one")
-    frame = _Frame.around(points, max(HEIGHT, TOP + 10 + LEGEND * len(lines)))
-    opened = f'<svg class="chart" viewBox="0 0 {WIDTH} {frame.height}" role="img" aria-label="{escape(title)}"'
-    parts = [f"{opened} {plot_data([frame.placed(line) for line in lines], x_label)}>"]
-    parts += frame.axes(sorted({x for x, *_ in points}), x_label, y_label)
-    for place, line in enumerate(lines):
-        parts += frame.line(line, MARKS[place % len(MARKS)])
-        parts += _legend(line, place)
-    return "".join([*parts, "</svg>"])
+    xs, low, high = [math.log(x) for x, *_ in points], min(p[2] for p in points), max(p[3] for p in points)
+    pad = max(0.05 * (high - low), 1e-3 * abs(high), 1e-6)  # a constant line still needs a height
+    low, high, wide = low - pad, high + pad, max(0.03 * (max(xs) - min(xs)), 1e-3)
+    height = max(HEIGHT, TOP + 10 + LEGEND * len(lines))
+    frame = Frame(scale(min(xs) - wide, max(xs) + wide, math.log), scale(low, high), WIDTH, height, RIGHT)
+    parts = [part for place, line in enumerate(lines) for part in (*_line(frame, line, place), *_legend(line, place))]
+    up, across, last = [(tick, f"{tick:g}") for tick in ticks(low, high)], list[tuple[float, str]](), -math.inf
+    for level in sorted({x for x, *_ in points}):
+        if frame.at(level, low)[0] - last >= 40:  # px; closer numbers would touch
+            last = frame.at(level, low)[0]
+            across.append((level, f"{level:g}"))
+    told = [_told(frame, line) for line in lines]
+    return frame.drawn(parts, told, across, up, x_label=x_label, y_label=y_label, title=title)
 
 
 def alone(chart: str, colors: Mapping[str, str]) -> str:
-    """A chart as a file of its own.
-
-    Args:
-        chart: Of `level_chart`.
-        colors: "#rrggbb" by key of its lines.
-    """
+    """A chart of `level_chart` as a file of its own, with a colour, "#rrggbb", for each key of its lines."""
     own = "".join(f".{key} {{ --own: {color}; }}\n" for key, color in colors.items())
     size = re.sub(r'.*? viewBox="0 0 (\d+) (\d+)".*', r'width="\1" height="\2"', chart, flags=re.DOTALL)
     opened = f'<svg xmlns="http://www.w3.org/2000/svg" {size} '
@@ -81,71 +73,29 @@ def alone(chart: str, colors: Mapping[str, str]) -> str:
     return chart.replace("<svg ", opened, 1).replace(">", f"><style>{ALONE}{own}</style>", 1) + "\n"
 
 
-@dataclass(frozen=True)
-class _Frame:
-    """Where values lie in the picture."""
+def _told(frame: Frame, line: Line) -> Told:
+    said = [f"{mean:.4g}" + (f" ({least:.4g} to {largest:.4g})" if largest > least else "")
+            for _, mean, least, largest in line.points]  # fmt: skip
+    return line.name, line.key, [(*frame.at(x, mean), f"{x:g}", text)
+                                 for (x, mean, *_), text in zip(line.points, said, strict=True)]  # fmt: skip
 
-    left: float  # logarithms
-    right: float
-    bottom: float
-    top: float
-    height: int  # of the picture, px
 
-    @staticmethod
-    def around(points: Sequence[tuple[float, float, float, float]], height: int) -> "_Frame":
-        xs = [math.log(x) for x, *_ in points]
-        low, high = min(least for _, _, least, _ in points), max(largest for *_, largest in points)
-        pad = max(0.05 * (high - low), 1e-3 * abs(high), 1e-6)  # a constant line still needs a height
-        wide = max(0.03 * (max(xs) - min(xs)), 1e-3)
-        return _Frame(min(xs) - wide, max(xs) + wide, low - pad, high + pad, height)
-
-    def x(self, value: float) -> float:
-        share = (math.log(value) - self.left) / (self.right - self.left)
-        return LEFT + (WIDTH - LEFT - RIGHT) * share
-
-    def y(self, value: float) -> float:
-        floor = self.height - BOTTOM
-        return floor - (floor - TOP) * (value - self.bottom) / (self.top - self.bottom)
-
-    def placed(self, line: Line) -> tuple[str, str, list[tuple[float, float, str, str]]]:
-        """A line as `plot_data` takes it."""
-        told = [f"{mean:.4g}" + (f" ({least:.4g} to {largest:.4g})" if largest > least else "")
-                for _, mean, least, largest in line.points]  # fmt: skip
-        return line.name, line.key, [(self.x(x), self.y(mean), f"{x:g}", text)
-                                     for (x, mean, *_), text in zip(line.points, told, strict=True)]  # fmt: skip
-
-    def axes(self, levels: Sequence[float], x_label: str, y_label: str) -> list[str]:
-        end, parts = WIDTH - RIGHT, []
-        for tick in ticks(self.bottom, self.top):
-            y = self.y(tick)
-            parts.append(f'<line class="rule" x1="{LEFT}" x2="{end}" y1="{y:.1f}" y2="{y:.1f}"/>')
-            parts.append(f'<text class="tick" x="{LEFT - 8}" y="{y + 4:.1f}" text-anchor="end">{tick:g}</text>')
-        last = -math.inf
-        for level in levels:
-            if self.x(level) - last >= 40:  # px; closer numbers would touch
-                last, below = self.x(level), self.height - BOTTOM + 18
-                parts.append(f'<text class="tick" x="{last:.1f}" y="{below}" text-anchor="middle">{level:g}</text>')
-        middle, centre, low = (LEFT + end) / 2, (TOP + self.height - BOTTOM) / 2, self.height - 6
-        parts.append(f'<text class="axis" x="{middle}" y="{low}" text-anchor="middle">{escape(x_label)}</text>')
-        turned = f'transform="translate(20 {centre}) rotate(-90)"'
-        parts.append(f'<text class="axis" {turned} text-anchor="middle">{escape(y_label)}</text>')
-        return parts
-
-    def line(self, line: Line, mark: str) -> list[str]:
-        if not line.points:
-            return []
-        path = " ".join(f"{self.x(x):.1f},{self.y(mean):.1f}" for x, mean, *_ in line.points)
-        parts = [_stroke(line, f'<polyline points="{path}"', f"<title>{escape(line.name)}</title></polyline>")]
-        for x, mean, least, largest in line.points:
-            parts.append(_mark(line, mark, self.x(x), self.y(mean)))
-            if largest > least:
-                bar = f'x1="{self.x(x):.1f}" x2="{self.x(x):.1f}" y1="{self.y(least):.1f}" y2="{self.y(largest):.1f}"'
-                parts.append(_stroke(line, f"<line {bar}", "</line>"))
-        if line.knee is not None:
-            x, y = self.x(line.knee), self.y(_between(line, line.knee))
-            told = f"<title>{escape(line.name)} breaks at {line.knee:.3g}</title></circle>"
-            parts.append(_stroke(line, f'<circle cx="{x:.1f}" cy="{y:.1f}" r="5"', told))
-        return parts
+def _line(frame: Frame, line: Line, place: int) -> list[str]:
+    if not line.points:
+        return []
+    places = [frame.at(x, mean) for x, mean, *_ in line.points]
+    path = " ".join(f"{x:.1f},{y:.1f}" for x, y in places)
+    parts = [_stroke(line, f'<polyline points="{path}"', f"<title>{escape(line.name)}</title></polyline>")]
+    for (x, y), (value, _, least, largest) in zip(places, line.points, strict=True):
+        parts.append(_mark(line, MARKS[place % len(MARKS)], x, y))
+        if largest > least:
+            ends = " ".join(f'y{k}="{frame.at(value, end)[1]:.1f}"' for k, end in enumerate((least, largest), 1))
+            parts.append(_stroke(line, f'<line x1="{x:.1f}" x2="{x:.1f}" {ends}', "</line>"))
+    if line.knee is not None:
+        x, y = frame.at(line.knee, _between(line, line.knee))
+        told = f"<title>{escape(line.name)} breaks at {line.knee:.3g}</title></circle>"
+        parts.append(_stroke(line, f'<circle cx="{x:.1f}" cy="{y:.1f}" r="5"', told))
+    return parts
 
 
 def _stroke(line: Line, opened: str, closed: str) -> str:
@@ -179,12 +129,3 @@ def _between(line: Line, x: float) -> float:
         if left <= x <= right:
             return low + (high - low) * math.log(x / left) / math.log(right / left)
     return points[0][1] if x < points[0][0] else points[-1][1]
-
-
-def ticks(low: float, high: float) -> list[float]:
-    """About five round numbers between two values."""
-    rough = (high - low) / 5
-    power = 10.0 ** math.floor(math.log10(rough))
-    step = next(factor * power for factor in (1, 2, 5, 10) if factor * power >= rough)
-    first = math.ceil(low / step - 1e-9)
-    return [round(step * k, 12) for k in range(first, math.floor(high / step + 1e-9) + 1)]

@@ -1,49 +1,185 @@
-"""What a report is made of: a capture, the runs that were made from it, and their scores."""
+"""What a page is made of, for one place or many: the rows of a table, the runs behind them, and what has pictures."""
 
-from dataclasses import dataclass
-from functools import cached_property
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from os.path import relpath
 from pathlib import Path
 from typing import Any
 
-from novags.testbed.exposures import Exposures, exposures_of
-from novags.testbed.folders.capture import Capture
+import numpy as np
+
+from novags.methods.memo import Memo
+from novags.testbed.folders import capture as capture_folder
+from novags.testbed.folders import shapes
+from novags.testbed.folders.place import PLACE, place_of
 from novags.testbed.folders.run import Run
-from novags.testbed.folders.set import Source
-from novags.testbed.report.rows import Row, main_row, rows_of
+from novags.testbed.ledger.contents import read_json
+from novags.testbed.report.again import score_again
+from novags.testbed.report.grid import CAPTURE, Line, lines_of
+from novags.testbed.report.place import MAIN, Place
+from novags.testbed.report.rows import Row, enhancement_of, rows_of
+from novags.testbed.study.light import METHOD
+from novags.testbed.study.results import flat_scores
+from sensor_model.files.door import resolved
+
+VIEWS_OF_EACH_KIND = 4  # held-out and training views shown of one place: enough to judge, small enough to mail
+VIEWS = 8  # of several captures together; each has one at least
+SET = "set.json"
+COST = {"seconds": float, "peak_bytes": int}
+MADE_SET: Any = {"stage?": {"name?": str, **COST}, "plan?": (shapes.PLAN, None)}
+MADE_CAPTURE: Any = {"stage": COST, "set?": ({"path": PLACE}, None), "plan?": (shapes.PLAN, None), "kind?": str,
+                     "signal_quantiles_e?": {"*": shapes.MEASURED}, "sensor_name?": (str, None)}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Made:
+    """A run, and the records of what it was made from."""
+
+    run: Run
+    name: str  # what tells it from the others of the page
+    capture: Path
+    captured: dict[str, Any]  # its capture.json
+    set: Path
+    rendered: dict[str, Any]  # its set.json; {} where there is none
 
 
 @dataclass(frozen=True)
 class Material:
-    """Everything a report is made of, read from the folders."""
+    """Everything a page is made of."""
 
-    folder: Path
-    experiment: dict[str, Any]  # {} for a single run
-    runs: dict[str, Run]
-    metrics: dict[str, Any]
-    capture: Capture
-    lit: Source
-
-    @cached_property
-    def rows(self) -> dict[str, Row]:
-        """How each run appears."""
-        return rows_of(self.runs)
-
-    @cached_property
-    def exposures(self) -> dict[str, Exposures]:
-        """The exposures at which the runs in linear light are shown, by name."""
-        found = {name: run for name, run in self.runs.items() if run.space == "linear"}
-        return {name: exposures_of(run, self.capture, self.lit) for name, run in found.items()}
+    path: Path  # of the page
+    rows: list[dict[str, Any]]  # one for each run, as in the table of a study
+    axes: Mapping[str, Sequence[Any]]  # what the runs differ in, and the values
+    looks: Mapping[str, Row]  # how runs, or the methods of a study, appear, by name
+    made: Mapping[int, Made]  # the runs on this machine, by number of their row
+    places: dict[str, Callable[[], Place | None]]  # what opens each that has pictures; None: nothing is rendered
+    one: Place | None = None  # where all runs are of one capture
+    study: tuple[Path, Mapping[str, Any]] | None = None  # the folder of a study, and its study.json
+    command: str | None = None  # what makes all of it again, where it was one command
+    unseen: dict[str, str] = field(default_factory=dict)  # what has no pictures, and why
+    unavailable: Mapping[str, str] = field(default_factory=dict)  # what could not be computed, and why
+    unregistered: Mapping[str, tuple[Sequence[str], int]] = field(default_factory=dict)  # without a camera; with one
+    lost: int = 0  # finished runs that are not on this machine, or cannot be read
 
     @property
-    def one_reference(self) -> bool:
-        """Whether the noise-free references of all runs are enhanced by the same: their scores can be compared then."""
-        return len({row.enhancement for row in self.rows.values()}) == 1
+    def title(self) -> str:
+        """The heading of the page."""
+        if self.study:
+            return f"{self.study[1]['file']}: {len(self.rows)} runs"
+        if self.one is None:
+            return f"{len(self.rows)} runs of {len(self.places)} captures"
+        if (told := self.one.capture.record.simulated) is None:
+            return f"{self.one.scene}: photographs from the dark"
+        return f"{self.one.scene} at {told.electrons:g} electrons per pixel"
+
+    @cached_property
+    def lines(self) -> list[Line]:
+        """The runs that differ in their seed alone, best first at each place."""
+        enhancements = {number: enhancement_of(each.run) for number, each in self.made.items()}
+        return lines_of(self.rows, self.axes, self.competes, enhancements)
 
     @property
-    def main(self) -> str:
-        """The main run."""
-        return main_row(self.rows.values())
+    def competes(self) -> dict[str, bool]:
+        """Whether a method may be the best, by name."""
+        return {name: look.competes for name, look in self.looks.items()}
 
-    def bound(self, end: str) -> str | None:
-        """The run at that end of the scale, if there is one."""
-        return next((row.name for row in self.rows.values() if row.bound == end), None)
+    @property
+    def varied(self) -> list[str]:
+        """The axes but the method that have several values."""
+        return [name for name in self.axes if name != METHOD and len({str(row[name]) for row in self.rows}) > 1]
+
+    @cached_property
+    def commands(self) -> dict[int, str | None]:
+        """The commands that make each run again in the folder of the page; None where no command does."""
+        return {number: score_again(each.run, self.path.parent, each.name) for number, each in self.made.items()}
+
+    def of(self, line: Line) -> list[Made]:
+        """The runs of a line that are here."""
+        return [self.made[int(row["run"])] for row in line.runs if int(row["run"]) in self.made]
+
+    def called(self, made: Made) -> str:
+        """What is said of runs together: of one place each has its name, of several a method is named once."""
+        return made.name if self.one else made.run.name
+
+
+def material_of(places: Sequence[Place], path: Path, command: str | None = None) -> Material:
+    """What the page at `path` on these runs is made of."""
+    named = dict(zip(titles(places, path.parent), places, strict=True))
+    runs = {name: run for place in places for name, run in place.runs.items()}
+    known = dict[Path, Any]()
+    made = {number: made_of(run, name, known) for number, (name, run) in enumerate(runs.items(), 1)}
+    one = _prepared(places[0], 1) if len(places) == 1 else None
+    unavailable = {f"{name}: {what}" if name else what: why for name, place in named.items()
+                   for what, why in place.metrics["unavailable"].items()}  # fmt: skip
+    unregistered = {name: (missing, place.capture.record.views) for name, place in named.items()
+                    if (missing := place.lit.views.unregistered)}  # fmt: skip
+    return Material(
+        path, _rows(named), {CAPTURE: list(named), METHOD: list(runs)}, one.rows if one else _by_method(runs), made,
+        {name: (lambda: one) if one else partial(_prepared, place, len(places)) for name, place in named.items()},
+        one, command=command, unavailable=unavailable, unregistered=unregistered,
+    )  # fmt: skip
+
+
+def titles(places: Sequence[Place], folder: Path) -> list[str]:
+    """The title of each place, with the folder of its capture where others have the same title; "" of one alone."""
+    if len(places) == 1:
+        return [""]
+    count = Counter(place.title for place in places)
+    return [place.title if count[place.title] == 1
+            else f"{place.title} ({relpath(resolved(place.capture.path), resolved(folder))})"
+            for place in places]  # fmt: skip
+
+
+def made_of(run: Run, name: str, known: dict[Path, Any]) -> Made:
+    """A run with the records of its capture and its set; `known` keeps those that were read.
+
+    Raises:
+        ValueError: If one cannot be read.
+    """
+    capture = place_of(run.path, run.record["capture"])
+    if (record := capture / capture_folder.RECORD) not in known:
+        known[record] = read_json(record, MADE_CAPTURE)
+    made = place_of(capture, (known[record].get("set") or {}).get("path", "."))
+    if (rendered := made / SET) not in known:
+        known[rendered] = read_json(rendered, MADE_SET) if rendered.is_file() else {}
+    return Made(run, name, capture, known[record], made, known[rendered])
+
+
+def spread(indices: Sequence[int], count: int = VIEWS_OF_EACH_KIND) -> list[int]:
+    """At most `count` of them, evenly."""
+    places = np.linspace(0, len(indices) - 1, min(count, len(indices)))
+    return [indices[round(place)] for place in places]
+
+
+def _prepared(place: Place, count: int) -> Place:
+    """A place among `count` with the views that are shown of it."""
+    cameras = place.capture.cameras
+    if count == 1:
+        return replace(place, views=[*spread(cameras.test_indices), *spread(cameras.train_indices)])
+    # Of its own memory, so that what was computed for the pictures of one capture goes before the next.
+    capture = replace(place.capture, memo=Memo())
+    return replace(place, capture=capture, views=spread(cameras.test_indices, max(1, VIEWS // count)))
+
+
+def _by_method(runs: Mapping[str, Run]) -> dict[str, Row]:
+    """How runs of several captures appear: those of one name alike."""
+    first: dict[str, Run] = {}
+    for run in runs.values():
+        first.setdefault(run.name, run)
+    rows = rows_of(first)
+    return {**rows, **{name: replace(rows[run.name], name=name) for name, run in runs.items()}}
+
+
+def _rows(places: Mapping[str, Place]) -> list[dict[str, Any]]:
+    """The runs of places as rows of the table of a study."""
+    found: list[dict[str, Any]] = []
+    for title, place in places.items():
+        columns = {**{f"over.{kind}": place.deltas(kind)[0] for kind in MAIN},
+                   **{key: place.metrics.get(key, {}) for key in ("recovered", "recovered_lit")}}  # fmt: skip
+        for name in place.runs:
+            own = {column: values[name] for column, values in columns.items() if name in values}
+            row = {"run": len(found) + 1, CAPTURE: title, METHOD: name, "state": "done"}
+            found.append({**flat_scores(place.metrics["methods"][name]), **own, **row})
+    return found

@@ -1,91 +1,63 @@
-"""One self-contained HTML file on runs: what was done, how it looks, what it scores, what it cost.
-
-Runs of one capture get the whole report; those of several captures a table for each.
-"""
+"""The report: one self-contained HTML file, made of blocks, on runs of one capture, of several, or on a study."""
 
 import os
 import re
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
-from shlex import quote
 from typing import Any
 
-from novags.testbed.console import Console, Update
-from novags.testbed.folders import shapes
-from novags.testbed.folders.experiment import EXPERIMENT, REPORT, experiments_in, find_runs
-from novags.testbed.folders.linear_photographs import LinearPhotographs
-from novags.testbed.folders.run import METRICS
-from novags.testbed.ledger.contents import digest, jsonable, read_json
+from markupsafe import Markup
+
+from novags.testbed.console import Console
+from novags.testbed.folders.experiment import REPORT, experiments_in
+from novags.testbed.ledger.contents import digest, jsonable
 from novags.testbed.ledger.dry import planned
-from novags.testbed.report.comparison import comparison_context
-from novags.testbed.report.facts import (
-    camera_table,
-    configurations,
-    costs,
-    departures,
-    duration,
-    geometry_table,
-    loss_chart,
-    noise_table,
-    number,
-    photographs_text,
-    placed_in,
-    plans,
-    signed,
-    size,
-    title,
-    training_table,
-    what_was_done,
-)
+from novags.testbed.report.blocks.configuration import configuration, departures, failed
+from novags.testbed.report.blocks.cost import cost
+from novags.testbed.report.blocks.header import header
+from novags.testbed.report.blocks.light import files_in, light, light_files
+from novags.testbed.report.blocks.look import look
+from novags.testbed.report.blocks.scores import scores
+from novags.testbed.report.blocks.signal import signal
+from novags.testbed.report.blocks.simulated import simulated
+from novags.testbed.report.blocks.training import cameras, flat, training
 from novags.testbed.report.look.album import Album, files_of
-from novags.testbed.report.look.maps import ERROR_CEILING
-from novags.testbed.report.material import Material
-from novags.testbed.report.pictures import pick_views, view_tiles
-from novags.testbed.report.signal_chart import signal
-from novags.testbed.report.tables import COLUMNS, GEOMETRY, NOISE, per_view, score_table
-from novags.testbed.report.verdict import cards, compared, verdict
-from novags.testbed.results.again import run_again, score_again
-from novags.testbed.results.comparison import MAIN, Group, deltas_of, groups_of
-from novags.testbed.results.mixed import mixed
-from novags.testbed.stages.scoring import bounds_of
+from novags.testbed.report.material import Material, material_of
+from novags.testbed.report.parts import Block, Page
+from novags.testbed.report.place import command_of, places_in, read_place
+from novags.testbed.report.study import study_material
+from novags.testbed.report.words import number, size
 from sensor_model.files.atomic import write_text
 from sensor_model.files.door import read_bytes, resolved
 from sensor_model.files.lock import locked
 
-
-def read_material(folder: Path, console: Console) -> Material:
-    """Read a scored experiment or run.
-
-    Raises:
-        ValueError: If it is not there or not scored, or its runs were made from different captures or not from those
-            that are there now.
-    """
-    runs = find_runs(folder)
-    if not (folder / METRICS).exists():
-        raise ValueError(f"{folder} has no {METRICS}: run novags score {quote(str(folder))} first")
-    metrics = read_json(folder / METRICS, shapes.METRICS)
-    inputs = {captured.path: (captured, lit) for captured, lit in (run.inputs(console) for run in runs.values())}
-    if len(inputs) > 1:
-        raise ValueError(f"the runs in {folder} were made from different captures: {', '.join(map(str, inputs))}")
-    scored = metrics["methods"]
-    if old := [name for name, run in runs.items() if name not in scored or run.scores() != scored[name]]:
-        raise ValueError(f"{folder / METRICS} has no scores of {', '.join(old)} as of now: run novags score "
-                         f"{quote(str(folder))}")  # fmt: skip
-    capture, lit = next(iter(inputs.values()))
-    experiment = read_json(folder / EXPERIMENT, shapes.EXPERIMENT) if (folder / EXPERIMENT).exists() else {}
-    return Material(folder, experiment, runs, metrics, capture, lit)
+BLOCKS = (  # of every page, in this order: what is taken out here is on no page
+    Block("header", header),
+    Block("look", look),
+    Block("scores", scores),
+    Block("light", light, light_files),
+    Block("failed", failed),
+    Block("cameras", cameras),
+    Block("flat", flat),
+    Block("training", training),
+    Block("cost", cost),
+    Block("signal", signal),
+    Block("simulated", simulated),
+    Block("departures", departures),
+    Block("configuration", configuration),
+)
 
 
 def write_report(folder: Path, console: Console) -> Path:
-    """Write `folder`/report.html and return its path.
+    """Write `folder`/report.html on an experiment or a run, and return its path.
 
     Raises:
         ValueError: If the folder holds nothing scored, or what it refers to is gone.
         BlockingIOError: If another process is writing there.
     """
     with locked(folder, make=False):
-        return _write_report(folder, console)
+        return build(material_of([read_place(folder, console)], folder / REPORT, command_of(folder)), console)
 
 
 def write_reports(
@@ -106,18 +78,37 @@ def write_reports(
     if len(folders) == 1 and out is None and experiments_in(folders[0]) == [folders[0]]:
         return write_report(folders[0], console)
     path = out or report_path(folders)
-    groups = groups_of(folders, console)
-    identity = digest(sorted(str(resolved(run.path)) for group in groups for run in group.runs.values()))
+    places = places_in(folders, console)
+    identity = digest(sorted(str(resolved(run.path)) for place in places for run in place.runs.values()))
     if path.exists() and not overwrite and identity_of(path) != identity:
         raise ValueError(
             f"{path} already exists and is not a report on these runs: choose another --out, or add --overwrite"
         )
     with locked(path.parent):
-        if len(groups) == 1:
-            group = groups[0]
-            material = Material(path.parent, {}, group.runs, group.metrics, group.capture, group.lit)
-            return _fill_report(path, material, console, identity)
-        return _fill_comparison(path, groups, console, identity)
+        return build(material_of(places, path), console, identity)
+
+
+def write_study(folder: Path, out: Path | None = None, *, overwrite: bool = False) -> Path:
+    """Write the report on a study and return its path.
+
+    Args:
+        folder: Of the study.
+        out: The HTML file; None: report.html in the folder. The other files go beside it.
+        overwrite: Replace `out`, and files beside it, even if they are no report on this study.
+
+    Raises:
+        ValueError: If its tables cannot be read, nothing is done yet, or `out` is something else.
+    """
+    path, identity = out or folder / REPORT, digest(["study", str(resolved(folder))])
+    material = study_material(folder, path)
+    if resolved(path) != resolved(folder / REPORT) and not overwrite and not (
+        path.exists() and identity_of(path) == identity
+    ):  # fmt: skip
+        beside = [] if resolved(path.parent) == resolved(folder) else files_in(path.parent, material.axes)
+        if found := [file for file in (path, *beside) if file.exists()]:
+            raise ValueError(f"{found[0]} already exists and is not of a report on this study: choose another --out, "
+                             "or add --overwrite")  # fmt: skip
+    return build(material, Console(), identity)
 
 
 def report_path(folders: Sequence[Path]) -> Path:
@@ -133,53 +124,39 @@ def identity_of(path: Path) -> str | None:
     return found and found[1]
 
 
-def _write_report(folder: Path, console: Console) -> Path:
-    return _fill_report(folder / REPORT, read_material(folder, console), console)
-
-
-def _fill_report(path: Path, material: Material, console: Console, identity: str = "") -> Path:
-    planned(console, "report", written(path))
-    album = Album(path)
+def build(material: Material, console: Console, identity: str = "") -> Path:
+    """Write the page of every block that has something to show, and what goes beside it; returns its path."""
+    path, beside = material.path, files_of(material.path)  # whether a page needs that folder is seen when it is made
+    others = [file for block in BLOCKS for file in block.files(material)]
+    planned(console, "report", [path, *([beside] if beside.exists() else []), *others])
     with console.progress("report") as progress:
-        context = report_context(material, album, progress)
-    album.settle()
-    return fill_page("report.html", path, {**context, "identity": identity})
+        page = Page(path, Album(path), progress)
+        shown = [(block.name, found) for block in BLOCKS if (found := block.read(material, page)) is not None]
+    page.album.settle()
+    known = {
+        "title": material.title,
+        "colors": {look.key: look.color for look in material.looks.values()},
+        "identity": identity,
+        "files": beside.name,
+    }
+    write_text(path, _filled({**known, "blocks": shown, "data": page.data}))
+    return path
 
 
-def _fill_comparison(path: Path, groups: Sequence[Group], console: Console, identity: str) -> Path:
-    planned(console, "report", written(path))
-    album = Album(path)
-    with console.progress("report") as progress:
-        context = comparison_context(groups, path.parent, album, progress)
-    album.settle()
-    return fill_page("comparison.html", path, {**context, "identity": identity})
-
-
-def written(path: Path) -> list[Path]:
-    """A page, and the folder beside it if there is one; whether a page needs one is seen when it is made."""
-    beside = files_of(path)
-    return [path, beside] if beside.exists() else [path]
-
-
-def fill_page(template: str, path: Path, context: dict[str, Any]) -> Path:
-    """Write a page and return its path."""
+def _filled(context: Mapping[str, Any]) -> str:
     import jinja2
 
     loader = jinja2.PackageLoader("novags.testbed.report", "templates")
     templates = jinja2.Environment(loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True,
                                    lstrip_blocks=True)  # fmt: skip
-    templates.filters.update(number=number, duration=duration, size=size, signed=signed, json=_embedded)
+    templates.filters.update(number=number, size=size, json=_embedded)
     templates.globals.update(asset=_asset)
-    known = {"files": files_of(path).name, "looks": {}, "identity": "", "data": {}}
-    write_text(path, templates.get_template(template).render({**known, **context}))
-    return path
+    return templates.get_template("page.html").render(context)
 
 
 def _asset(name: str) -> Any:
     """A script or a style as it is."""
-    import markupsafe
-
-    return markupsafe.Markup((files("novags.testbed.report") / name).read_text(encoding="utf-8"))
+    return Markup((files("novags.testbed.report") / name).read_text(encoding="utf-8"))
 
 
 def _embedded(value: Any) -> Any:
@@ -187,85 +164,3 @@ def _embedded(value: Any) -> Any:
     import jinja2.utils
 
     return jinja2.utils.htmlsafe_json_dumps(jsonable(value), separators=(",", ":"), allow_nan=False)
-
-
-def commands(material: Material) -> dict[str, str]:
-    """What makes the results again in the folder of the report: one command of an experiment, else one of each run."""
-    if (command := material.experiment.get("command")) is not None:
-        return {"": str(command)}
-    found = {name: run_again(run, material.folder, name) for name, run in material.runs.items()}
-    return {name: command for name, command in found.items() if command is not None}
-
-
-def report_context(material: Material, album: Album, progress: Update) -> dict[str, Any]:
-    """What the template shows; its pictures go into `album`."""
-    picked = pick_views(material.capture)
-    views = []
-    for done, i in enumerate(picked):
-        shown = view_tiles(i, material, album)
-        views.append(shown)
-        progress(done + 1, len(picked), f"view {shown.name}")
-    left, right = compared(material)
-    scores = score_context(material)
-    looks = {name: {"key": row.key, "competes": row.competes} for name, row in material.rows.items()}
-    data = {"left": [left, "enhanced"], "right": [right, "truth-lit"],
-            "views": scores["per_view"], "looks": looks}  # fmt: skip
-    return {
-        **scores,
-        "title": title(material),
-        "what": what_was_done(material),
-        "verdict": verdict(material),
-        "cards": cards(material),
-        "views": views,
-        "main": material.main,
-        "data": data,
-        "error_ceiling": ERROR_CEILING,
-        "looks": material.rows,
-        "departures": departures(material),
-        "loss_chart": loss_chart(material.runs, material.rows),
-        "costs": costs(material),
-        "plans": plans(material),
-        "signal": signal(material.capture, picked),
-        "kind": material.lit.views.kind,
-        "photographs": photographs_text(material) if material.capture.imported else None,
-        "linear": isinstance(material.lit.views, LinearPhotographs),
-        "record": material.capture.record,
-        "unregistered": material.lit.views.unregistered,
-        "unavailable": material.metrics["unavailable"],
-        "configurations": configurations(material),
-        "commands": commands(material),
-        "environment": material.runs[material.main].record["stage"],
-        "mixed": mixed(material.runs),
-    }
-
-
-def score_context(material: Material) -> dict[str, Any]:
-    """What the tables of scores show."""
-    competes = {name: row.competes for name, row in material.rows.items()}
-    methods = {name: run.method for name, run in material.runs.items()}
-    ends = bounds_of(methods)
-    recovered = {"enhanced": material.metrics["recovered"], "lit": material.metrics.get("recovered_lit", {})}
-    return {
-        "tables": {kind: score_table(material.metrics, kind, competes, placed_in(material, kind)) for kind in COLUMNS},
-        "one_reference": material.one_reference,
-        "columns": COLUMNS,
-        "per_view": {kind: per_view(material.metrics, kind) for kind in COLUMNS},
-        "geometry": geometry_table(material),
-        "geometry_columns": GEOMETRY,
-        "noise": noise_table(material),
-        "noise_columns": NOISE,
-        "cameras": camera_table(material),
-        "recovered": {**dict.fromkeys(COLUMNS, {}), **recovered},
-        "bounds": [_of_runs(ends.get(end, []), methods) for end in ("floor", "ceiling")],
-        "in_linear_light": list(material.exposures),
-        "training_2d": training_table(material),
-        "commands_of": {name: score_again(run, material.folder, name) for name, run in material.runs.items()},
-        "deltas": {kind: deltas_of(material.metrics, methods, kind) if kind in MAIN else ({}, "") for kind in COLUMNS},
-    }
-
-
-def _of_runs(names: Sequence[str], methods: Mapping[str, str]) -> str:
-    """One end of the scale of what is recovered, in words; "" where it has no run."""
-    if len(names) < 2:
-        return "".join(names)
-    return f"the mean of {len(names)} runs of {methods[names[0]]}"

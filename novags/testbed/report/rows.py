@@ -6,9 +6,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from novags.methods import METHODS
-from novags.methods.variant import sees_statistics
-from novags.settings import flattened
+from novags.methods import METHODS, chosen, with_variants
+from novags.methods.variant import STATISTICS, Variant, dotted, sees_statistics
+from novags.settings import changed, flattened, has_setting
 from novags.testbed.folders.run import Run
 from novags.testbed.ledger.contents import jsonable
 from novags.testbed.ledger.difference import flat
@@ -19,29 +19,17 @@ UNLISTED = ("fit.checkpoint_every", "fit.seed", "fit.extent", "fit.backend")  # 
 
 @dataclass(frozen=True)
 class Row:
-    """One run in tables and charts.
+    """One run in tables and charts."""
 
-    Attributes:
-        name: Of the run.
-        key: Of its CSS class.
-        method: Of the method.
-        title: What it does.
-        family: Of the method.
-        color: "#rrggbb", different for every run of a report.
-        bound: "floor", "ceiling" or None, for a method with its own settings; a variant is not a bound.
-        competes: Whether it may be the best: a method that sees any truth may not.
-        enhancement: What its noise-free reference is enhanced by: runs that differ in it have no reference in common.
-    """
-
-    name: str
-    key: str
-    method: str
-    title: str
-    family: str
-    color: str
-    bound: str | None
-    competes: bool
-    enhancement: str
+    name: str  # of the run
+    key: str  # of its CSS class
+    method: str  # of the method
+    title: str  # what it does
+    family: str  # of the method
+    color: str  # "#rrggbb", different for every run of a report
+    bound: str | None  # "floor", "ceiling" or None, for a method with its own settings; a variant is not a bound
+    competes: bool  # whether it may be the best: a method that sees any truth may not
+    enhancement: str  # what its noise-free reference is enhanced by: runs that differ in it have no reference in common
 
 
 def enhancement_of(run: Run) -> str:
@@ -66,6 +54,39 @@ def rows_of(runs: Mapping[str, Run]) -> dict[str, Row]:
             enhancement=enhancement_of(run),
         )  # fmt: skip
     return rows
+
+
+def looks_of(names: Iterable[str], study: Mapping[str, Any]) -> dict[str, Row]:
+    """The rows of a study's methods, variants and programs, by name, in their order; also of those without a run.
+
+    `study`: the content of its file, with the tables of its own variants and programs, and what it sets for all.
+    """
+    programs = study.get("method", {})
+    variants = with_variants(
+        Variant(name=name, method=str(table["method"]),
+                settings={key: value for key, value in dotted(table).items() if key != "method"})
+        for name, table in study.get("variant", {}).items()
+    )  # fmt: skip
+    shared, found, used = dotted(study.get("override", {})), dict[str, Row](), list[str]()
+    for name in names:
+        variant = None if name in programs else chosen(name, variants)
+        method = None if variant is None else METHODS[variant.method]
+        used.append(distinct(OTHER if method is None else method.color, used))
+        found[name] = Row(
+            name=name, key=f"m{len(found)}", method=name if variant is None else variant.method,
+            title="" if method is None else method.title, family="" if method is None else method.family,
+            color=used[-1], bound=None, competes=variant is None or not _sees_truth(variant, shared), enhancement="",
+        )  # fmt: skip
+    return found
+
+
+def _sees_truth(variant: Variant, shared: Mapping[str, Any]) -> bool:
+    """Whether a variant, under what the study sets for all, sees any truth."""
+    method = METHODS[variant.method]
+    told = {key: value for key, value in {**shared, **variant.settings}.items() if key == STATISTICS}
+    config = method.config()
+    own = changed(config, told) if has_setting(config, STATISTICS) else config
+    return method.sees_clean or method.sees_surface or sees_statistics(own)
 
 
 def main_row(rows: Iterable[Row]) -> str:

@@ -26,68 +26,55 @@ COLUMNS = {
     "linear": _LINEAR,
     "linear_demosaiced": _LINEAR,
     "lit": (_ENHANCED[1], _ENHANCED[0], *_ENHANCED[2:]),
+    "geometry": (
+        ("abs_rel", "relative error", "", False),
+        ("within_5_percent", "within 5 %", "", True),
+        ("coverage", "covered", "", True),
+        ("floaters", "floaters", "", False),
+        ("consistency", "colour change between views", "", False),
+    ),
+    "noise": (
+        ("renders", "left in renderings", "", False),
+        ("targets", "left in targets", "", False),
+        ("known", "noise", "sRGB code", False),
+        ("bias_floor", "bias floor", "dB", True),
+    ),
 }
 PLAIN = ("psnr", "ssim", "flip", "delta_e", "lpips")  # no help of the truth, but the exposure of linear light
 OWN = ("enhanced", "enhanced_demosaiced")  # references that every enhancement has its own of
-GEOMETRY = (
-    ("abs_rel", "relative error", "", False),
-    ("within_5_percent", "within 5 %", "", True),
-    ("coverage", "covered", "", True),
-    ("floaters", "floaters", "", False),
-    ("consistency", "colour change between views", "", False),
-)
-NOISE = (
-    ("renders", "left in renderings", "", False),
-    ("targets", "left in targets", "", False),
-    ("known", "noise", "sRGB code", False),
-    ("bias_floor", "bias floor", "dB", True),
-)
 GIVEN = ("known", "bias_floor")  # of these: facts of the enhanced pictures, by which no method is better
 
 Columns = tuple[tuple[str, str, str, bool], ...]
-Placed = Callable[[str, str], bool]
 
 
-def score_table(
-    metrics: Mapping[str, Any], kind: str, competes: Mapping[str, bool], placed: Placed = lambda name, key: True
-) -> list[dict[str, Any]]:
-    """One row for each run that has this reference, best first, with its rank in each column.
-
-    Args:
-        metrics: As in metrics.json.
-        kind: The reference.
-        competes: Whether a run may be the best, by name.
-        placed: As of `ranked`.
-    """
-    means = {name: m["mean"][kind] for name, m in metrics["methods"].items() if m["mean"].get(kind)}
-    return ranked(means, COLUMNS[kind], competes, placed)
+def scores_of(metrics: Mapping[str, Any], kind: str) -> dict[str, Mapping[str, Any]]:
+    """The scores of each run that has any against a reference, or of its "geometry" or "noise", by name."""
+    methods = metrics["methods"].items()
+    if kind == "geometry":
+        found = {name: m["geometry"] for name, m in methods if m.get("geometry")}
+        return {name: {**scores, "consistency": scores["consistency"]["excess"]} for name, scores in found.items()}
+    return {name: found for name, m in methods if (found := m.get("noise") if kind == "noise" else m["mean"].get(kind))}
 
 
 def ranked(
     values: Mapping[str, Mapping[str, Any]], columns: Columns, competes: Mapping[str, bool],
-    placed: Placed = lambda name, key: True,
+    placed: Callable[[str, str], bool] = lambda name, key: True,
 ) -> list[dict[str, Any]]:  # fmt: skip
-    """Rows of cells in the order of the first column; the best value of each column among those that compete is marked.
+    """Rows of cells, of values by row and column, in the order of the first column, with the rank in each.
 
-    Args:
-        values: By row, then by column.
-        columns: What is shown.
-        competes: Whether a row may be the best; those that may not have no rank.
-        placed: (row, column) -> whether its value can be compared with those of the other rows.
+    The best value among those that compete is marked. `competes`: whether a row may be the best; those that may not
+    have no rank. `placed`: (row, column) -> whether its value can be compared with those of the other rows.
     """
-    places = {}
+    places, rows = {}, []
     for key, _, _, more in columns:
         known = {name: found for name, row in values.items() if (found := measured(row.get(key))) is not None}
         places[key] = ranks(
             {name: value for name, value in known.items() if competes[name] and placed(name, key)}, more
         )
-    rows = []
     for name, row in values.items():
-        cells = []
-        for key, *_ in columns:
-            rank = places[key].get(name)
-            cells.append({"key": key, "value": row.get(key), "rank": rank,
-                          "best": rank == 1 and len(places[key]) > 1})  # fmt: skip
+        ranked = {key: places[key].get(name) for key, *_ in columns}
+        cells = [{"key": key, "value": row.get(key), "rank": rank, "best": rank == 1 and len(places[key]) > 1}
+                 for key, rank in ranked.items()]  # fmt: skip
         rows.append({"method": name, "competes": competes[name], "cells": cells})
     key, _, _, more = columns[0]
     return sorted(rows, key=lambda row: _order(measured(values[row["method"]].get(key)), more))
@@ -121,9 +108,8 @@ def _order(value: float | None, more: bool) -> tuple[bool, float]:
 def per_view(metrics: Mapping[str, Any], kind: str) -> dict[str, Any] | None:
     """Every score of every held-out view, and its spread over them; None where there are no scores.
 
-    Returns:
-        `views`, `methods`, and by score `heading`, `unit`, `digits`, `values` (a row for each view, a value or None for
-        each method) and `spread` (mean, standard deviation, worst and best of each method).
+    That is `views`, `methods`, and by score `heading`, `unit`, `digits`, `values` (a row for each view, a value or None
+    for each method) and `spread` (mean, standard deviation, worst and best of each method).
     """
     methods = [name for name, m in metrics["methods"].items() if m["mean"].get(kind)]
     views = list(dict.fromkeys(view for name in methods for view in metrics["methods"][name]["views"]))

@@ -16,7 +16,7 @@ from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.run import Run
 from novags.testbed.folders.set import Source, scaled_rig
 from novags.testbed.references import enhanced_dark, pictured
-from novags.testbed.results.comparison import runs_by_capture, title_of
+from novags.testbed.report.place import runs_by_capture, title_of
 from novags.testbed.stages.capturing import measure_light
 from novags.testbed.stages.configs.capturing import CaptureConfig
 from novags.testbed.viewer.light import GREY, Camera

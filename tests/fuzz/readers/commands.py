@@ -101,7 +101,7 @@ def _leave_out_the_work() -> None:
     import novags.testbed.forecast as forecast
     import novags.testbed.machine.doctor as doctor
     import novags.testbed.report.page as page
-    import novags.testbed.results.comparison as comparison
+    import novags.testbed.report.place as place
     import novags.testbed.study.place as experiment
     from novags.commands import shared
     from novags.testbed import stability, stages
@@ -119,7 +119,7 @@ def _leave_out_the_work() -> None:
     experiment.run = lambda *a, **k: Path("report.html")
     page.write_reports = lambda *a, **k: Path("report.html")
     folders.experiments_in = lambda folder: [folder]
-    comparison.groups_of = lambda *a: []
+    place.places_in = lambda *a: []
     forecast.light_plan = lambda *a, **k: None
     forecast.sensor_plan = lambda *a, **k: ("", {})
     frames.characterise_folder = _refused

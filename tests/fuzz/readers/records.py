@@ -132,19 +132,19 @@ def read_experiment(folder: Path, file: Path) -> object:
     """As score and report do before they compute."""
     from novags.testbed.console import Console
     from novags.testbed.folders.experiment import find_runs
-    from novags.testbed.report.page import read_material
+    from novags.testbed.report.place import read_place
     from novags.testbed.stages.scoring import merge, stage_seconds
 
     quiet = Console(quiet=True)
-    material = read_material(folder, quiet)
+    place = read_place(folder, quiet)
     runs = find_runs(folder)
     found = []
     for run in runs.values():
         found.append(
             (run.events(), run.rendering("0000"), run.depth("0000"), run.depth_scale, run.enhancement, run.space)
         )
-        found.append((stage_seconds(run, *run.inputs(quiet)), material.metrics))
-    return found, merge({name: material.metrics for name in runs}, {name: run.method for name, run in runs.items()})
+        found.append((stage_seconds(run, *run.inputs(quiet)), place.metrics))
+    return found, merge({name: place.metrics for name in runs}, {name: run.method for name, run in runs.items()})
 
 
 def make_viewed(folder: Path) -> None:

@@ -28,7 +28,7 @@ def make_study(folder: Path) -> None:
 
 def read_study(folder: Path, file: Path) -> None:
     """As the report does."""
-    from novags.testbed.report.study.page import write_study
+    from novags.testbed.report.page import write_study
 
     write_study(folder)
 
@@ -37,7 +37,7 @@ def _page() -> None:
     import cv2
     import torch
 
-    import novags.testbed.report.study.page  # noqa: F401
+    import novags.testbed.report.page  # noqa: F401
 
     torch.set_num_threads(1)
     cv2.setNumThreads(0)

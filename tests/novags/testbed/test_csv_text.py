@@ -8,7 +8,7 @@ import pytest
 
 from novags.testbed.csv_text import as_csv, text_of
 from novags.testbed.dataset.publish import write_index
-from novags.testbed.report.study import light
+from novags.testbed.report.blocks import light
 
 FORMULAS = ["=1+cmd|' /C calc'!A0", "+1+1", "-1+1", "@SUM(A1)", "\t=1", "\r=1", "\n=1", "＝1"]
 

@@ -25,19 +25,12 @@ OWN = re.compile(r"[0-9a-f]{20}\.(png|jpg|js)")  # names of files beside a page;
 
 @dataclass
 class Picture:
-    """A picture of a page.
+    """A picture of a page."""
 
-    Attributes:
-        data: The encoded picture; None once it lies in the file `full`.
-        kind: "png" or "jpeg".
-        src: What the page shows, a data URI: the whole picture, or a thumbnail of it.
-        full: Where the whole picture is, relative to the page; None if `src` is that.
-    """
-
-    data: bytes | None
-    kind: str
-    src: str = ""
-    full: str | None = None
+    data: bytes | None  # the encoded picture; None once it lies in the file `full`
+    kind: str  # "png" or "jpeg"
+    src: str = ""  # what the page shows, a data URI: the whole picture, or a thumbnail of it
+    full: str | None = None  # where the whole picture is, relative to the page; None if `src` is that
 
     @property
     def exact(self) -> bool:
@@ -47,19 +40,12 @@ class Picture:
 
 @dataclass
 class Script:
-    """Data of a page, as text that a script can read.
+    """Data of a page, as text that a script can read."""
 
-    Attributes:
-        text: What it reads; empty once it lies in `file`.
-        name: By which the page asks for it.
-        inside: Whether the page holds the text; None before `Album.settle`.
-        file: Where it is otherwise, relative to the page: a script that hands the text over.
-    """
-
-    text: str
-    name: str
-    inside: bool | None = None
-    file: str | None = None
+    text: str  # what it reads; empty once it lies in `file`
+    name: str  # by which the page asks for it
+    inside: bool | None = None  # whether the page holds the text; None before `Album.settle`
+    file: str | None = None  # where it is otherwise, relative to the page: a script that hands the text over
 
 
 @dataclass
@@ -67,14 +53,10 @@ class Album:
     """The pictures and the data of one page.
 
     What cannot fit into the page is written beside it as it comes, so that memory does not grow with it.
-
-    Attributes:
-        page: The HTML file.
-        inside: Bytes of text that they may take in the page.
     """
 
-    page: Path
-    inside: int = field(default_factory=lambda: INSIDE)
+    page: Path  # the HTML file
+    inside: int = field(default_factory=lambda: INSIDE)  # bytes of text that they may take in the page
     _pictures: list[Picture] = field(default_factory=list)
     _scripts: list[Script] = field(default_factory=list)
     _written: set[str] = field(default_factory=set)

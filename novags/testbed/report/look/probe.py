@@ -19,15 +19,10 @@ LARGEST = 60_000.0  # what the largest number becomes: half precision ends at 65
 
 @dataclass(frozen=True)
 class Probe:
-    """The planes of one view.
+    """The planes of one view."""
 
-    Attributes:
-        header: Their names, shapes and scales, and what turns them into units.
-        data: The planes.
-    """
-
-    header: dict[str, Any]
-    data: bytes
+    header: dict[str, Any]  # their names, shapes and scales, and what turns them into units
+    data: bytes  # the planes
 
 
 def probe_of(capture: Capture, i: int) -> Probe | None:

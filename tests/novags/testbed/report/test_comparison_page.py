@@ -15,7 +15,7 @@ from novags.testbed import stages
 from novags.testbed.console import Console
 from novags.testbed.folders.capture import open_capture
 from novags.testbed.ledger.dry import dry_run
-from novags.testbed.report.comparison import places
+from novags.testbed.report.material import titles
 from novags.testbed.report.page import write_reports
 from novags.testbed.stages.configs.capturing import CaptureConfig
 from simscenes.sets.pictures.exr import read_exr
@@ -96,8 +96,8 @@ def test_pictures_of_captures_are_compared_zoomed_and_probed(
 ) -> None:
     tab = visit(comparison, width=width)
     assert tab.evaluate("document.documentElement.scrollWidth") == width
-    table = tab.locator('table[data-name="capture-2"]')
-    table.locator("tbody tr", has_text="oracle").locator("th").click()
+    table = tab.locator('table[data-name="combinations"]')
+    table.locator("tbody tr", has_text="second/oracle").locator("th").click()
     assert shown(tab, "right") == ["Rendered by second/oracle"]
     assert " 50 electrons" in shown(tab, "view")[0]
     tab.locator("#slider").fill("25")
@@ -120,4 +120,4 @@ def test_pictures_of_captures_are_compared_zoomed_and_probed(
 def test_captures_of_the_same_title_are_told_apart_by_their_folders() -> None:
     groups: Any = [SimpleNamespace(title=title, capture=SimpleNamespace(path=Path(path)))
                    for title, path in (("a", "/x/one/capture"), ("b", "/x/two"), ("a", "/x/three"))]  # fmt: skip
-    assert places(groups, Path("/x")) == ["a (one/capture)", "b", "a (three)"]
+    assert titles(groups, Path("/x")) == ["a (one/capture)", "b", "a (three)"]

@@ -18,8 +18,7 @@ from novags.testbed.console import Console
 from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.report.look import album
 from novags.testbed.report.look.probe import probe_of
-from novags.testbed.report.page import write_report, write_reports
-from novags.testbed.report.study.page import write_study
+from novags.testbed.report.page import write_report, write_reports, write_study
 from novags.testbed.stages.configs.capturing import CaptureConfig
 
 QUIET = Console(quiet=True)
@@ -64,13 +63,13 @@ def test_the_keys_reach_every_row_that_is_shown_and_no_other(visit: Callable[...
     tab = visit(study)
     stop = tab.locator('table[data-name="combinations"] td[tabindex="0"]')
     focused = "document.activeElement.parentElement.dataset.of"
-    tab.get_by_label("Method").first.select_option("naive")
+    tab.locator(".filters").get_by_label("Method").first.select_option("naive")
     assert stop.count() == 1
     assert stop.is_visible()
     for key, electrons in (("ArrowDown", 50), ("ArrowDown", 50), ("ArrowUp", 5)):
         stop.press(key)
         assert tab.evaluate(focused) == f"scene a, electrons {electrons}"
-    tab.get_by_label("electrons").first.select_option("50")
+    tab.locator(".filters").get_by_label("electrons").first.select_option("50")
     stop.press("ArrowRight")
     assert tab.evaluate(focused) == "scene a, electrons 50"
 

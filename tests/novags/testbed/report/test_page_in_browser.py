@@ -18,9 +18,9 @@ sys.path.insert(0, str(ROOT))  # where pytest is started by itself and not as a 
 from novags.testbed.console import Console  # noqa: E402
 from novags.testbed.folders.capture import open_capture  # noqa: E402
 from novags.testbed.folders.run import open_run  # noqa: E402
+from novags.testbed.report.again import run_again  # noqa: E402
 from novags.testbed.report.look import album  # noqa: E402
 from novags.testbed.report.page import write_report  # noqa: E402
-from novags.testbed.results.again import run_again  # noqa: E402
 from simscenes.sets.pictures.exr import read_exr  # noqa: E402
 from simscenes.sets.pictures.png import read_codes  # noqa: E402
 

@@ -23,13 +23,13 @@ from novags.testbed import stages  # noqa: E402
 from novags.testbed.console import Console  # noqa: E402
 from novags.testbed.exposures import exposures_of  # noqa: E402
 from novags.testbed.folders.capture import Capture, open_capture  # noqa: E402
-from novags.testbed.report.facts import geometry_table, noise_table  # noqa: E402
+from novags.testbed.report.blocks.signal import _chart, by_filter, histogram  # noqa: E402
 from novags.testbed.report.look.album import Album, files_of  # noqa: E402
 from novags.testbed.report.look.maps import colour_map, normal_map, normals_of_depth  # noqa: E402
 from novags.testbed.report.look.probe import probe_of  # noqa: E402
 from novags.testbed.report.page import write_report  # noqa: E402
-from novags.testbed.report.signal_chart import _chart, by_filter, signal  # noqa: E402
-from novags.testbed.report.tables import per_view, ranks, score_table  # noqa: E402
+from novags.testbed.report.tables import COLUMNS, per_view, ranked, ranks, scores_of  # noqa: E402
+from novags.testbed.report.verdict import table_of  # noqa: E402
 from novags.testbed.stages.configs.capturing import CaptureConfig  # noqa: E402
 from sensor_model import srgb_to_linear  # noqa: E402
 from simscenes.sets.pictures.exr import read_exr  # noqa: E402
@@ -50,11 +50,10 @@ def metrics(**means: Any) -> dict[str, Any]:
 
 
 def test_rows_stand_best_first_and_what_sees_truth_takes_no_place() -> None:
-    found = score_table(
-        metrics(a={"aligned_psnr": 20.0, "flip": 0.1}, b={"aligned_psnr": None, "flip": 0.3},
-                c={"aligned_psnr": "inf", "flip": 0.2}, bound={"aligned_psnr": 30.0, "flip": 0.0}),
-        "enhanced", {"a": True, "b": True, "c": True, "bound": False},
-    )  # fmt: skip
+    made = metrics(a={"aligned_psnr": 20.0, "flip": 0.1}, b={"aligned_psnr": None, "flip": 0.3},
+                   c={"aligned_psnr": "inf", "flip": 0.2}, bound={"aligned_psnr": 30.0, "flip": 0.0})  # fmt: skip
+    competes = {"a": True, "b": True, "c": True, "bound": False}
+    found = ranked(scores_of(made, "enhanced"), COLUMNS["enhanced"], competes)
     assert [row["method"] for row in found] == ["c", "bound", "a", "b"]
     places = {row["method"]: {cell["key"]: cell["rank"] for cell in row["cells"]} for row in found}
     assert {name: place["aligned_psnr"] for name, place in places.items()} == {"a": 2, "b": None, "c": 1, "bound": None}
@@ -81,7 +80,7 @@ def test_what_is_told_in_the_code_of_each_run_ranks_only_runs_of_one_enhancement
         rows = {name: SimpleNamespace(name=name, competes=True, enhancement=tone)
                 for name, tone in zip(scores, tones, strict=True)}  # fmt: skip
         material: Any = SimpleNamespace(rows=rows, metrics={"methods": scores}, one_reference=len(set(tones)) == 1)
-        tables = [*geometry_table(material), *noise_table(material)]
+        tables = [*table_of(material, "geometry"), *table_of(material, "noise")]
         ranks_of = {cell["key"]: cell["rank"] for row in tables if row["method"] == "dark" for cell in row["cells"]}
         alike = 1 if tones[0] == tones[1] else None
         assert (ranks_of["abs_rel"], ranks_of["coverage"]) == (1, 1)
@@ -334,7 +333,7 @@ def test_signals_beyond_half_precision_keep_their_scale(captures: dict[str, Capt
 def test_the_histogram_counts_the_electrons_of_each_filter(captures: dict[str, Capture], name: str) -> None:
     capture = captures[name]
     assert capture.sensor is not None
-    found = signal(capture, [0, 2])
+    found = histogram(capture, [0, 2])
     assert found is not None
     green = []
     for view in ("0000", "0002"):

@@ -12,10 +12,11 @@ import pytest
 
 from novags.methods.problem import encode
 from novags.testbed.exposures import Exposures
-from novags.testbed.report.charts import line_chart, linear_ticks, log_ticks
-from novags.testbed.report.facts import duration, fits, join, number, signed, size, smoothed
+from novags.testbed.report.blocks.training import fits, smoothed
+from novags.testbed.report.charts import line_chart, log_ticks, ticks
 from novags.testbed.report.look.maps import ERROR_CEILING, depth_map, error_map
-from novags.testbed.report.tables import score_table
+from novags.testbed.report.tables import COLUMNS, ranked, scores_of
+from novags.testbed.report.words import duration, join, number, signed, size
 from novags.testbed.stages import scoring
 from novags.testbed.stages.scoring import merge, recovered_fractions
 
@@ -93,9 +94,10 @@ def test_scores_of_an_earlier_version_have_no_tone_aligned_share_and_say_so() ->
 
 def test_the_best_method_is_marked_and_the_oracle_does_not_compete() -> None:
     metrics = {"methods": {"nova": method(25.0, flip=0.2), "naive": method(20.0), "oracle": method(30.0)}}
+    values, competes = scores_of(metrics, "enhanced"), {"nova": True, "naive": True, "oracle": False}
     marked = {
         (row["method"], cell["key"])
-        for row in score_table(metrics, "enhanced", {"nova": True, "naive": True, "oracle": False})
+        for row in ranked(values, COLUMNS["enhanced"], competes)
         for cell in row["cells"]
         if cell["best"]
     }
@@ -103,7 +105,7 @@ def test_the_best_method_is_marked_and_the_oracle_does_not_compete() -> None:
     assert ("naive", "flip") in marked
     assert not any(name == "oracle" for name, _ in marked)
     assert not any(key == "lpips" for _, key in marked)
-    none = score_table(metrics, "enhanced", {"nova": True, "naive": True, "oracle": False}, lambda name, key: False)
+    none = ranked(values, COLUMNS["enhanced"], competes, lambda name, key: False)
     assert not any(cell["best"] or cell["rank"] for row in none for cell in row["cells"])
     assert [row["competes"] for row in none] == [False, True, True]  # who is a bound stays known
 
@@ -174,17 +176,17 @@ def test_fits_of_one_run_stand_one_after_the_other() -> None:
 
 @pytest.mark.parametrize(("low", "high"), [(-3.0, 1.0), (-1.2, -1.0), (0.0, 0.3), (-2.0, -1.99)])
 def test_logarithmic_ticks_lie_inside_and_are_neither_few_nor_many(low: float, high: float) -> None:
-    ticks = log_ticks(low, high)
-    assert 1 <= len(ticks) <= 8
-    assert all(10**low * 0.999 <= tick <= 10**high * 1.001 for tick in ticks)
+    found = log_ticks(low, high)
+    assert 1 <= len(found) <= 8
+    assert all(10**low * 0.999 <= tick <= 10**high * 1.001 for tick in found)
 
 
 @pytest.mark.parametrize("largest", [1.0, 30.0, 999.0, 30_000.0])
 def test_linear_ticks_are_round_and_reach_the_end(largest: float) -> None:
-    ticks = linear_ticks(largest)
-    assert 3 <= len(ticks) <= 7
-    assert ticks[0] == 0
-    assert 0.7 * largest <= ticks[-1] <= largest * (1 + 1e-9)
+    found = ticks(0.0, largest)
+    assert 3 <= len(found) <= 7
+    assert found[0] == 0
+    assert 0.7 * largest <= found[-1] <= largest * (1 + 1e-9)
 
 
 def test_smoothing_keeps_the_mean_and_the_end() -> None:

@@ -7,17 +7,20 @@ import re
 import shlex
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from novags.testbed.report.blocks import light
+from novags.testbed.report.blocks.look import look
+from novags.testbed.report.grid import first_places, lines_of, main_column, verdict
 from novags.testbed.report.look.album import Album
-from novags.testbed.report.study import light
-from novags.testbed.report.study.grid import first_places, lines_of, main_column, verdict
-from novags.testbed.report.study.page import write_study
-from novags.testbed.report.study.pictures import chosen, study_views
-from novags.testbed.report.study.records import read_records
+from novags.testbed.report.material import Material
+from novags.testbed.report.page import write_study
+from novags.testbed.report.parts import Page
+from novags.testbed.report.study import chosen, read_made, study_material
 from novags.testbed.study.results import flat_scores
 from simscenes.sets.pictures.exr import read_exr
 
@@ -134,9 +137,9 @@ def test_a_run_whose_folder_is_gone_is_counted_and_the_others_are_shown(study: P
     table = json.loads((study / "results.json").read_text())
     for row in table["rows"][:3]:
         row["folder"] = "s3://bucket/run"
-    records = read_records(study, table["rows"])
-    assert records.lost == [1, 2, 3]
-    assert sorted(records.runs) == list(range(4, 12))
+    made, lost = read_made(study, table["rows"])
+    assert lost == [1, 2, 3]
+    assert sorted(made) == list(range(4, 12))
 
 
 def test_the_work_on_a_data_set_has_no_report_and_says_so(tmp_path: Path) -> None:
@@ -161,33 +164,19 @@ def test_runs_that_were_not_tried_say_why(study: Path, tmp_path: Path) -> None:
 def test_the_page_says_that_references_differ(study: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     said = "have noise-free references of their own"
     assert said not in write_study(study, tmp_path / "same" / "report.html").read_text()
-    monkeypatch.setattr("novags.testbed.report.study.page.enhancement_of", lambda run: str(run.path))
+    monkeypatch.setattr("novags.testbed.report.material.enhancement_of", lambda run: str(run.path))
     assert said in write_study(study, tmp_path / "report.html").read_text()
 
 
-def test_shared_stages_count_once(study: Path) -> None:
-    costs = {row["label"]: row for row in read_records(study, json.loads((study / "results.json").read_text())["rows"])
-             .costs()}  # fmt: skip
-    assert {label: row["count"] for label, row in costs.items()} == {
-        "render": 1, "capture": 1, "reconstruct: naive": 1, "reconstruct: better": 1, "reconstruct: oracle": 1
-    }  # fmt: skip
-    assert costs["reconstruct: naive"]["seconds"] == 2.0
-
-
-def test_the_costs_of_a_program_are_its_own_memory(study: Path) -> None:
-    table = json.loads((study / "results.json").read_text())["rows"]
-    records = read_records(study, table)
-    for run in records.runs.values():
-        run.record["peak_bytes"] = 7_000_000_000
-    found = {row["label"]: row["peak"] for row in records.costs()}
-    assert found["reconstruct: naive"] == 7_000_000_000
+def material(study: Path) -> Material:
+    return study_material(study, study / "report.html")
 
 
 def test_the_commands_of_a_study_can_be_run_one_after_the_other(study: Path) -> None:
-    records = read_records(study, json.loads((study / "results.json").read_text())["rows"])
-    commands = [shlex.split(command) for command in records.commands(study / "report.html").values()]
+    found = material(study)
+    commands = [shlex.split(command) for command in found.commands.values() if command]
     places = [words[words.index("--out") + 1] for words in commands]
-    assert len(commands) == len(set(places)) == len(records.runs)
+    assert len(commands) == len(set(places)) == len(found.made)
     assert [words[-1] for words in commands] == places  # each scores what it has made
 
 
@@ -222,7 +211,7 @@ def test_a_study_is_narrowed_sorted_compared_and_downloaded(visit: Callable[...,
     tab = visit(study / "report.html", width=width)
     assert tab.evaluate("document.documentElement.scrollWidth") == width
     assert texts(tab, "combinations", 0) == ["†", "1", "2", "†", "1", "2"]
-    tab.get_by_label("electrons").first.select_option("5")
+    tab.locator(".filters").get_by_label("electrons").first.select_option("5")
     assert texts(tab, "combinations", 1) == ["oracle†", "better", "naive"]
     lit = tab.locator('table[data-name="combinations"] thead button').filter(has_text="tone-aligned")
     lit.click()
@@ -333,21 +322,29 @@ def test_where_the_set_is_gone_the_truth_that_the_capture_holds_is_shown(
     assert not {"truth-lit", "depth-true", "normal-true"} & found
 
 
-def test_the_runs_shown_of_a_place_are_of_one_capture_and_the_rest_is_told(study: Path) -> None:
-    found = read_records(study, json.loads((study / "results.json").read_text())["rows"])
-    found.captures[2] = found.captures[5] = (Path("elsewhere"), {})  # naive, second seed; better, first seed
-    found.runs.pop(9)  # oracle, first seed
-    lines = [line for line in lines_of(rows(), AXES, COMPETES) if line.place["electrons"] == 5]
-    capture, runs = chosen(lines, found)
-    assert capture == found.captures[1][0]
+def test_the_runs_shown_of_a_place_are_of_one_capture_and_the_rest_is_told(
+    study: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = material(study)
+    made = dict(found.made)
+    made[2], made[5] = (
+        replace(made[k], capture=Path("elsewhere")) for k in (2, 5)
+    )  # naive, second; better, first seed
+    made.pop(9)  # oracle, first seed
+    lines = [line for line in found.lines if line.place["electrons"] == 5]
+    capture, runs = chosen(lines, replace(found, made=made))
+    assert capture == made[1].capture
     assert sorted(runs) == ["better", "naive", "oracle"]
-    assert [runs["naive"], runs["better"], runs["oracle"]] == [found.runs[1], found.runs[6], found.runs[10]]
-    assert runs["better"] is found.runs[6]
-    assert runs["oracle"] is found.runs[10]
-    found.captures[6] = (Path("elsewhere"), {})
-    shown, lost = study_views(lines, found, Album(study / "other.html"))
-    (place,) = shown
-    assert lost == {f"{place}, better": "no finished run of it is from the same capture as the others"}
+    assert runs["naive"] is made[1].run
+    assert runs["better"] is made[6].run
+    assert runs["oracle"] is made[10].run
+    made[6] = replace(made[6], capture=Path("elsewhere"))
+    monkeypatch.setattr("novags.testbed.report.study.read_made", lambda folder, rows: (
+        {number: each for number, each in made.items() if number in {1, 2, 5, 6, 10}}, []))  # fmt: skip
+    shown = look(material(study), Page(study / "other.html", Album(study / "other.html"), lambda *_: None))
+    assert shown is not None
+    (place,) = {view.name.partition(", view")[0] for view in shown["views"]}
+    assert shown["unseen"] == {f"{place}, better": "no finished run of it is from the same capture as the others"}
 
 
 @pytest.mark.parametrize("width", [390, 1300])

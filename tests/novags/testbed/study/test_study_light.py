@@ -12,8 +12,9 @@ from typing import Any
 import pytest
 
 from novags.testbed.report.level_chart import Line, alone, level_chart
-from novags.testbed.report.study.light import looks_of
-from novags.testbed.report.study.page import is_study, write_study
+from novags.testbed.report.page import write_study
+from novags.testbed.report.rows import looks_of
+from novags.testbed.report.study import is_study
 from novags.testbed.study.light import MEASURES, Measure, common_knee, knee_of, light_curves
 
 FALL = Measure("psnr", "enhanced.aligned_psnr", "PSNR", "dB", "below", 3.0)
@@ -250,7 +251,7 @@ def test_colours_of_variants_differ_and_bounds_are_dashed() -> None:
     tables = {"variant": {"mine": {"method": "naive"}}, "method": {"theirs": {"command": "x {capture} {out}"}}}
     looks = looks_of(["naive", "mine", "oracle", "theirs"], tables)
     assert len({look.color for look in looks.values()}) == 4
-    assert [look.bound for look in looks.values()] == [False, False, True, False]
+    assert [look.competes for look in looks.values()] == [True, True, False, True]
 
 
 def test_what_sees_truth_by_the_settings_of_the_study_is_a_bound_and_what_does_not_competes() -> None:
@@ -259,10 +260,10 @@ def test_what_sees_truth_by_the_settings_of_the_study_is_a_bound_and_what_does_n
            "blind": {"method": "i2-nerf-truth", "truth_statistics": False},
            "again": {"method": "peek", "fit": {"iterations": 5}}}  # fmt: skip
     names = ["i2-nerf", "i2-nerf-truth", *own]
-    bounds = {name: look.bound for name, look in looks_of(names, {"variant": own}).items()}
+    bounds = {name: not look.competes for name, look in looks_of(names, {"variant": own}).items()}
     assert bounds == {"i2-nerf": False, "i2-nerf-truth": True, "peek": True, "blind": False, "again": True}
     for_all = looks_of(["naive", "i2-nerf", "blind"], {"variant": own, "override": {"truth_statistics": "true"}})
-    assert [look.bound for look in for_all.values()] == [False, True, False]
+    assert [look.competes for look in for_all.values()] == [True, False, True]
 
 
 def test_lines_lie_where_their_values_are() -> None:

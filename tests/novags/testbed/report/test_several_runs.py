@@ -1,6 +1,7 @@
 """Claims about scores and reports of several runs: what is compared with what, and where the page goes."""
 
 import json
+import re
 import sys
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from novags.testbed import stages  # noqa: E402
 from novags.testbed.console import Console  # noqa: E402
 from novags.testbed.folders.experiment import gather  # noqa: E402
 from novags.testbed.report.page import write_reports  # noqa: E402
-from novags.testbed.results.comparison import groups_of  # noqa: E402
+from novags.testbed.report.place import places_in  # noqa: E402
 from novags.testbed.stages.configs.capturing import CaptureConfig  # noqa: E402
 from tests.fuzz.readers.records import make_run  # noqa: E402
 
@@ -64,7 +65,7 @@ def test_runs_of_a_folder_of_experiments_have_names_that_differ(runs: Path) -> N
 
 
 def test_only_runs_of_one_capture_are_compared_and_bounds_are_found_among_them(runs: Path) -> None:
-    dim, bright = groups_of([runs], QUIET)
+    dim, bright = places_in([runs], QUIET)
     assert list(dim.runs) == ["dim/naive", "dim/oracle"]
     assert dim.deltas("enhanced") == ({"dim/oracle": 2.0}, "dim/naive")
     # Floor 22, ceiling (30 + 32) / 2.
@@ -77,17 +78,18 @@ def test_only_runs_of_one_capture_are_compared_and_bounds_are_found_among_them(r
 
 
 def test_without_a_floor_differences_are_to_the_first_run_and_nothing_is_recovered(runs: Path) -> None:
-    (group,) = groups_of([runs / "one"], QUIET)
+    (group,) = places_in([runs / "one"], QUIET)
     assert group.deltas("enhanced") == ({"oracle": 5.5}, "naive-l1")
     assert group.metrics["recovered"] == {}
     assert "needs the method(s) naive:" in group.metrics["unavailable"]["recovered"]
 
 
-def test_a_report_on_several_captures_has_a_table_for_each_and_replaces_nothing_else(runs: Path) -> None:
+def test_a_report_on_several_captures_compares_runs_of_each_and_replaces_nothing_else(runs: Path) -> None:
     path = write_reports([runs / "two", runs / "dim"], QUIET)
     assert path == runs / "comparison.html"
     page = path.read_text()
-    assert page.count("<h2 ") == 2
+    table = page[page.index('data-name="combinations"') :].partition("</table>")[0]
+    assert len(set(re.findall(r'data-of="([^"]+)"', table))) == 2
     assert page.count("+10.00") == 1
     assert page.count("+2.00") == 1
     # these runs state settings of an enhancement that this version does not have: no pictures, but all tables

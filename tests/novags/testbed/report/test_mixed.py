@@ -3,7 +3,7 @@
 from types import SimpleNamespace
 from typing import Any
 
-from novags.testbed.results.mixed import mixed
+from novags.testbed.report.blocks.cost import mixed
 
 
 def run(processor: str = "P", gpu: str | None = None, **versions: str) -> Any:

@@ -15,7 +15,7 @@ from novags.testbed import stages
 from novags.testbed.folders.run import Run
 from novags.testbed.ledger.contents import jsonable
 from novags.testbed.presets import EXPERIMENTS, adapted
-from novags.testbed.results.again import relative_command, run_again
+from novags.testbed.report.again import relative_command, run_again
 from novags.testbed.stages.configs.reconstructing import ReconstructConfig
 
 

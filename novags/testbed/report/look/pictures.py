@@ -1,22 +1,20 @@
 """The pictures of a report: for a few views, everything from the dark exposure to the maps of error, depth, normals."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from novags.methods.problem import encode
-from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.run import Run
 from novags.testbed.references import LINEAR, enhanced_dark, pictured, references
 from novags.testbed.report.look.album import Album, Picture, Script
 from novags.testbed.report.look.maps import depth_map, error_map, normal_map, normals_of_depth
 from novags.testbed.report.look.probe import probe_of
-from novags.testbed.report.material import Material
+from novags.testbed.report.place import Place
 from simscenes.sets.pictures.png import read_png
 
-VIEWS_OF_EACH_KIND = 4  # held-out and training views shown: enough to judge, small enough to mail
 TRUTHS = {
     "enhanced": ("Truth: noise-free", "the same exposure without noise, enhanced alike"),
     "enhanced_demosaiced": ("Truth: noise-free, demosaiced", "the noise-free mosaic, interpolated and enhanced alike"),
@@ -44,25 +42,15 @@ class Tile:
 
 @dataclass(frozen=True)
 class ViewTiles:
-    """All pictures of one view, and what is known of its pixels.
+    """All pictures of one view, and what is known of its pixels."""
 
-    Attributes:
-        name: Of the view.
-        held_out: Whether no method was shown it.
-        width: Of the camera, pixels.
-        height: Of the camera, pixels.
-        tiles: Its pictures.
-        probe: The header of its pixels' numbers; None without raw frames.
-        data: These numbers.
-    """
-
-    name: str
-    held_out: bool
-    width: int
-    height: int
-    tiles: tuple[Tile, ...]
-    probe: dict[str, Any] | None = None
-    data: Script | None = None
+    name: str  # of the view
+    held_out: bool  # whether no method was shown it
+    width: int  # of the camera, pixels
+    height: int  # of the camera, pixels
+    tiles: tuple[Tile, ...]  # its pictures
+    probe: dict[str, Any] | None = None  # the header of its pixels' numbers; None without raw frames
+    data: Script | None = None  # these numbers
 
     @property
     def has_depth(self) -> bool:
@@ -91,31 +79,16 @@ class _Tiles:
         self.made.append(Tile(key, label, note, f"{label}, {self.view}: {note}", picture))
 
 
-def pick_views(capture: Capture) -> list[int]:
-    """A few held-out views, then a few training views, spread evenly."""
-    return [*spread(capture.cameras.test_indices), *spread(capture.cameras.train_indices)]
-
-
-def spread(indices: Sequence[int], count: int = VIEWS_OF_EACH_KIND) -> list[int]:
-    """At most `count` of them, evenly."""
-    places = np.linspace(0, len(indices) - 1, min(count, len(indices)))
-    return [indices[round(place)] for place in places]
-
-
-def view_tiles(i: int, material: Material, album: Album, place: str = "") -> ViewTiles:
+def view_tiles(i: int, place: Place, album: Album, called: str = "") -> ViewTiles:
     """Everything there is to see of view `i`; its pictures go into `album`.
 
-    Args:
-        i: The view.
-        material: Capture and runs. The main run is the one whose denoised images are shown, and whose depth sets the
-            scale of all.
-        album: Of the page.
-        place: Which capture it is, on a page that shows several.
+    The denoised images are those of the main run, whose depth sets the scale of all. `called`: which place it is, on a
+    page that shows several.
     """
-    capture, runs, main = material.capture, material.runs, material.main
+    capture, runs, main = place.capture, place.runs, place.main
     name, held_out = capture.names[i], i in capture.cameras.test_indices
-    title = f"{place}, view {name}" if place else name
-    run, tiles = runs[main], _Tiles(album, title if place else f"view {name}")
+    title = f"{called}, view {name}" if called else name
+    run, tiles = runs[main], _Tiles(album, title if called else f"view {name}")
     tiles.add("dark", "Dark input", "what the camera delivers, 8-bit sRGB", capture.srgb8(i))
     if run.enhancement is not None:
         noisy = enhanced_dark(capture, i, run.enhancement)
@@ -123,8 +96,8 @@ def view_tiles(i: int, material: Material, album: Album, place: str = "") -> Vie
     if (denoised := run.path / "denoised" / f"{name}.png").exists():
         tiles.add("denoised", f"Denoised by {main}", "what the scene is fitted to", read_png(denoised))
     shown = {other: each for other, each in runs.items() if held_out or each.shows(name)}
-    _add_renders(tiles, i, material, shown, held_out)
-    _add_geometry(tiles, i, material, shown)
+    _add_renders(tiles, i, place, shown, held_out)
+    _add_geometry(tiles, i, place, shown)
     width, height = capture.cameras.rig.width, capture.cameras.rig.height
     if (probe := probe_of(capture, i)) is None:
         return ViewTiles(title, held_out, width, height, tuple(tiles.made))
@@ -132,23 +105,23 @@ def view_tiles(i: int, material: Material, album: Album, place: str = "") -> Vie
     return ViewTiles(title, held_out, width, height, tuple(tiles.made), probe.header, data)
 
 
-def _add_renders(tiles: _Tiles, i: int, material: Material, runs: Mapping[str, Run], held_out: bool) -> None:
+def _add_renders(tiles: _Tiles, i: int, place: Place, runs: Mapping[str, Run], held_out: bool) -> None:
     """What each of these runs renders, what it is compared with, and how far it is from that."""
-    capture, name, shows = material.capture, material.capture.names[i], dict[str, np.ndarray]()
+    capture, name, shows = place.capture, place.capture.names[i], dict[str, np.ndarray]()
     light = {other: run.rendering(name) for other, run in runs.items()}
     for other, run in runs.items():
-        scores = material.metrics["methods"][other]["views"].get(name) if held_out else None
+        scores = place.metrics["methods"][other]["views"].get(name) if held_out else None
         shows[other] = pictured(run, capture, light[other])
         tiles.add(f"render-{other}", f"Rendered by {other}", render_note(scores, held_out), shows[other])
-    for other, exposures in ((other, found) for other, found in material.exposures.items() if other in runs):
+    for other, exposures in ((other, found) for other, found in place.exposures.items() if other in runs):
         of = {"dark": (exposures.dark, "dark input"), "lit": (exposures.lit, "well-lit truth")}
         for kind, (gain, what) in of.items():
             if gain is not None:
                 note = f"its linear light at the exposure of the {what}, not enhanced"
                 label = f"{other}, {'dark' if kind == 'dark' else 'well lit'}"
                 tiles.add(f"{kind}-{other}", label, note, encode(gain * light[other]))
-    truths = {other: references(run, capture, material.lit, i) for other, run in material.runs.items()}
-    for kind, image in truths[material.main].items():
+    truths = {other: references(run, capture, place.lit, i) for other, run in place.runs.items()}
+    for kind, image in truths[place.main].items():
         label, note = LONG[kind] if capture.imported and kind in LONG else TRUTHS[kind]
         tiles.add(f"truth-{kind}", label, note, shown(image, kind))
     for other, image in shows.items():
@@ -162,12 +135,7 @@ def shown(image: np.ndarray, kind: str) -> np.ndarray:
 
 
 def render_note(scores: Mapping[str, Any] | None, held_out: bool) -> str:
-    """What the caption of a render says: whether the view is held out, and its score.
-
-    Args:
-        scores: Of this view, by reference.
-        held_out: Whether no method was shown the view.
-    """
+    """What the caption of a render says: whether the view is held out, and its score, of those by reference."""
     if not held_out:
         return "a training view"
     first = next(iter((scores or {}).values()), None)
@@ -185,9 +153,9 @@ def _add_error(tiles: _Tiles, name: str, image: np.ndarray, truths: Mapping[str,
     tiles.add(f"error-{name}", f"Error of {name}", note, error_map(image, shown(truth, kind)))
 
 
-def _add_geometry(tiles: _Tiles, i: int, material: Material, runs: Mapping[str, Run]) -> None:
+def _add_geometry(tiles: _Tiles, i: int, place: Place, runs: Mapping[str, Run]) -> None:
     """Depth and normals of each of these runs and of the truth, all depths on the scale of the main run's."""
-    capture, lit, found = material.capture, material.lit, dict[str, tuple[np.ndarray, np.ndarray]]()
+    capture, lit, found = place.capture, place.lit, dict[str, tuple[np.ndarray, np.ndarray]]()
     geometry = None if lit.scaled else lit.views.geometry(i)
     for name, run in runs.items():
         depth, alpha = run.depth(capture.names[i])
@@ -195,7 +163,7 @@ def _add_geometry(tiles: _Tiles, i: int, material: Material, runs: Mapping[str, 
             found[name] = (depth * run.depth_scale, alpha > 0.5)
     if geometry is not None:
         found[""] = (geometry["z"], np.isfinite(geometry["z"]))
-    scale = next((found[name] for name in (material.main, "", *found) if name in found and found[name][1].any()), None)
+    scale = next((found[name] for name in (place.main, "", *found) if name in found and found[name][1].any()), None)
     if scale is None:
         return
     near, far = (float(v) for v in np.percentile(scale[0][scale[1]], (1, 99)))

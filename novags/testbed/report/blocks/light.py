@@ -5,19 +5,18 @@ light-MEASURE.svg      light-MEASURE-PLACE.svg  (where other axes than light, me
 """
 
 import re
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from novags.methods import METHODS, chosen, with_variants
-from novags.methods.variant import STATISTICS, Variant, dotted, sees_statistics
-from novags.settings import changed, has_setting
 from novags.testbed.csv_text import as_csv
 from novags.testbed.ledger.contents import write_json
 from novags.testbed.report.level_chart import Line, alone, level_chart
-from novags.testbed.report.rows import OTHER, distinct
-from novags.testbed.study.light import ELECTRONS, Curve, Measure, light_curves
+from novags.testbed.report.material import Material
+from novags.testbed.report.parts import Page, Table, TableRow, heads, num
+from novags.testbed.report.rows import Row
+from novags.testbed.study.light import ELECTRONS, Curve, light_curves
 from sensor_model.files.atomic import write_text
 
 DATA, POINTS, KNEES = "light.json", "light.csv", "light-knees.csv"
@@ -31,113 +30,61 @@ HEADINGS = {  # columns of KNEES in the words of the page
 
 @dataclass(frozen=True)
 class Chart:
-    """Curves of one score in one place.
+    """Curves of one score in one place."""
 
-    Attributes:
-        title: Score, and place if there are several.
-        file: Name of the picture.
-        curves: One a method.
-    """
-
-    title: str
-    file: str
-    curves: list[Curve]
-
-    @property
-    def measure(self) -> Measure:
-        """The score."""
-        return self.curves[0].measure
+    title: str  # score, and place if there are several
+    file: str  # name of the picture
+    curves: list[Curve]  # one a method
 
 
-def light_report(folder: Path, rows: Sequence[Mapping[str, Any]], axes: Mapping[str, Sequence[Any]],
-                 looks: Mapping[str, "Look"]) -> dict[str, Any] | None:  # fmt: skip
-    """What the page shows of a study over the light; its pictures and numbers are written into `folder`.
-
-    Args:
-        folder: Of the page.
-        rows: Of the study's table.
-        axes: Its axes and their values.
-        looks: How its methods are drawn.
-
-    Returns:
-        None where the light was not varied, or nothing is done.
-    """
-    if not _varies_light(axes) or not (curves := light_curves(rows, axes)):
+def light(material: Material, page: Page) -> dict[str, Any] | None:
+    """The charts and the knees, where the light was varied; pictures and numbers are written beside the page."""
+    if not (curves := _curves(material)):
         return None
-    charts = charts_of(curves)
-    drawn = {chart.file: draw(chart, looks) for chart in charts}
-    for file, svg in drawn.items():
-        write_text(folder / file, alone(svg, {look.key: look.color for look in looks.values()}))
+    folder, charts, knees = page.path.parent, charts_of(curves), knee_rows(curves)
+    drawn = [(chart, draw(chart, material.looks)) for chart in charts]
+    for chart, svg in drawn:
+        write_text(folder / chart.file, alone(svg, {look.key: look.color for look in material.looks.values()}))
     write_json(folder / DATA, {"curves": [as_record(curve) for curve in curves]})
     write_text(folder / POINTS, as_csv(point_rows(curves)))
-    knees = knee_rows(curves)
     write_text(folder / KNEES, as_csv(knees))
-    labels = {curve.measure.key: curve.measure.label for curve in curves}
-    shown = [{HEADINGS.get(key, key): _in_words(key, row, labels) for key in row} for row in knees]
-    return {"charts": charts, "drawn": drawn, "knees": shown,
-            "files": {"points": POINTS, "knees": KNEES, "data": DATA}}  # fmt: skip
+    return {"charts": drawn, "knees": _table(knees, curves), "points": POINTS, "breaks": KNEES, "record": DATA}
 
 
-def light_files(folder: Path, rows: Sequence[Mapping[str, Any]], axes: Mapping[str, Sequence[Any]]) -> list[Path]:
-    """The files that `light_report` would write."""
-    curves = light_curves(rows, axes) if _varies_light(axes) else ()
+def light_files(material: Material) -> list[Path]:
+    """The files that `light` would write."""
+    curves = _curves(material)
     names = [*(chart.file for chart in charts_of(curves)), DATA, POINTS, KNEES] if curves else []
-    return [folder / name for name in names]
+    return [material.path.parent / name for name in names]
 
 
-def _in_words(column: str, row: Mapping[str, Any], labels: Mapping[str, str]) -> Any:
-    """A value of KNEES as the page shows it."""
-    if column == "measure":
-        return labels[row[column]]
-    if row[column] is None and column in ("electrons", "low", "high"):
-        return "unknown" if row["unknown"] == row["seeds"] else "not reached"
-    return row[column]
+def files_in(folder: Path, axes: Mapping[str, Sequence[Any]]) -> list[Path]:
+    """The files of a folder that the report on a study with these axes would write over."""
+    names = (DATA, POINTS, KNEES, "light-*.svg") if _varies_light(axes) else ()
+    return sorted(path for name in names for path in folder.glob(name))
 
 
-@dataclass(frozen=True)
-class Look:
-    """How a method is drawn."""
-
-    key: str
-    color: str
-    bound: bool  # it sees truth
-
-    @property
-    def competes(self) -> bool:
-        """Whether it may be the best."""
-        return not self.bound
+def _curves(material: Material) -> Sequence[Curve]:
+    return light_curves(material.rows, material.axes) if _varies_light(material.axes) else ()
 
 
-def looks_of(names: Iterable[str], study: Mapping[str, Any]) -> dict[str, Look]:
-    """How each method of a study is drawn.
-
-    Args:
-        names: Of methods, variants and programs, in order.
-        study: The content of the study file: the tables of its own variants and programs, and what it sets for all.
-    """
-    own, programs = study.get("variant", {}), study.get("method", {})
-    variants = with_variants(
-        Variant(name=name, method=str(table["method"]),
-                settings={key: value for key, value in dotted(table).items() if key != "method"})
-        for name, table in own.items()
-    )  # fmt: skip
-    shared = dotted(study.get("override", {}))
-    found: dict[str, Look] = {}
-    for name in names:
-        variant = None if name in programs else chosen(name, variants)
-        color = OTHER if variant is None else METHODS[variant.method].color
-        color = distinct(color, [look.color for look in found.values()])
-        found[name] = Look(f"m{len(found)}", color, variant is not None and _sees_truth(variant, shared))
-    return found
+def _varies_light(axes: Mapping[str, Sequence[Any]]) -> bool:
+    return len(axes.get(ELECTRONS, ())) > 1
 
 
-def _sees_truth(variant: Variant, shared: Mapping[str, Any]) -> bool:
-    """Whether a variant, under what the study sets for all, sees any truth."""
-    method = METHODS[variant.method]
-    told = {key: value for key, value in {**shared, **variant.settings}.items() if key == STATISTICS}
-    config = method.config()
-    own = changed(config, told) if has_setting(config, STATISTICS) else config
-    return method.sees_clean or method.sees_surface or sees_statistics(own)
+def _table(knees: Sequence[Mapping[str, Any]], curves: Sequence[Curve]) -> Table | None:
+    """Where each curve breaks, in the words of the page."""
+    rows, labels = list[TableRow](), {curve.measure.key: curve.measure.label for curve in curves}
+    for row in knees:
+        missing = "unknown" if row["unknown"] == row["seeds"] else "not reached"
+        said = {**row, "measure": labels[row["measure"]]}
+        said |= {name: missing for name in ("electrons", "low", "high") if row[name] is None}
+        rows.append(TableRow([
+            num(value, f"{value:.3g}" if isinstance(value, float) else str(value)) if isinstance(value, int | float)
+            else "" if value is None else str(value) for value in said.values()
+        ]))  # fmt: skip
+    columns = heads(" | ".join(HEADINGS.get(name, name) for name in knees[0])) if knees else []
+    return Table("knees", "Where each curve breaks", columns, rows, "scores short") if knees else None
 
 
 def charts_of(curves: Sequence[Curve]) -> list[Chart]:
@@ -170,7 +117,7 @@ def varies(curves: Sequence[Curve]) -> bool:
     return len({value for curve in curves for level in curve.levels for value in level.values}) > 1
 
 
-def draw(chart: Chart, looks: Mapping[str, Look]) -> str:
+def draw(chart: Chart, looks: Mapping[str, Row]) -> str:
     """The chart as SVG."""
     lines = []
     for curve in chart.curves:
@@ -178,8 +125,8 @@ def draw(chart: Chart, looks: Mapping[str, Look]) -> str:
         points = [(level.electrons, level.mean, min(level.values), max(level.values))
                   for level in curve.levels if level.mean is not None]  # fmt: skip
         knee = curve.knee.electrons if curve.knee else None
-        lines.append(Line(curve.method, look.key, points, dashed=look.bound, knee=knee))
-    measure = chart.measure
+        lines.append(Line(curve.method, look.key, points, dashed=not look.competes, knee=knee))
+    measure = chart.curves[0].measure
     unit = f" ({measure.unit})" if measure.unit else ""
     short = measure.label.partition(" against ")[0]  # the title says against what
     return level_chart(lines, x_label="electrons per green pixel", y_label=f"{short}{unit}", title=chart.title)
@@ -218,13 +165,3 @@ def knee_rows(curves: Sequence[Curve]) -> list[dict[str, Any]]:
              "bright": curve.bright, **vars(knee), "slope_per_doubling": curve.slope}
         )  # fmt: skip
     return found
-
-
-def files_in(folder: Path, axes: Mapping[str, Sequence[Any]]) -> list[Path]:
-    """The files of a folder that the report on a study with these axes would write over."""
-    names = (DATA, POINTS, KNEES, "light-*.svg") if _varies_light(axes) else ()
-    return sorted(path for name in names for path in folder.glob(name))
-
-
-def _varies_light(axes: Mapping[str, Sequence[Any]]) -> bool:
-    return len(axes.get(ELECTRONS, ())) > 1

@@ -4,11 +4,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from novags.testbed.report.facts import join
 from novags.testbed.report.tables import measured, ranks, spread_of
+from novags.testbed.report.words import join
+from novags.testbed.study.grid import spelled
 from novags.testbed.study.light import METHOD, SEED
 
 Row = Mapping[str, Any]
+CAPTURE = "capture"  # the axis of runs that no study made
 # column of the study's table, heading, unit, whether more is better, digits
 COLUMNS = (
     ("enhanced.aligned_psnr", "PSNR aligned, noise-free", "dB", True, 2),
@@ -19,6 +21,8 @@ COLUMNS = (
     ("lit.flip", "FLIP, lit", "", False, 3),
     ("linear.linear_psnr", "PSNR linear", "dB", True, 2),
     ("enhanced.flip", "FLIP, noise-free", "", False, 3),
+    ("over.enhanced", "Over the floor", "dB", True, 2),
+    ("over.lit", "Over the floor, lit", "dB", True, 2),
     ("recovered", "Recovered", "", True, 2),
     ("recovered_lit", "Recovered, lit", "", True, 2),
     ("geometry.abs_rel", "Depth error", "", False, 3),
@@ -27,8 +31,9 @@ COLUMNS = (
     ("peak_bytes", "Peak memory", "MB", False, 0),
 )
 MAIN = ("enhanced.aligned_psnr", "lit.tone_aligned_psnr")  # of which one decides
-SILENT = ("recovered", "recovered_lit", "seconds.reconstruct", "peak_bytes")  # those order as MAIN does; costs
-OWN = ("enhanced.flip", "enhanced.aligned_psnr", "recovered")  # compare with a method's own reference
+# Those order as MAIN does; costs.
+SILENT = ("over.enhanced", "over.lit", "recovered", "recovered_lit", "seconds.reconstruct", "peak_bytes")
+OWN = ("enhanced.flip", "enhanced.aligned_psnr", "over.enhanced", "recovered")  # compare with a method's own reference
 LINEAR = "linear"  # begins the columns that methods have which end in linear light; of photographs they hold no value
 HELPED = ("lit.psnr", "lit.ssim", "lit.lpips", "lit.flip")  # by the truth, which decides their exposure
 SCALES = {"peak_bytes": 1e-6}
@@ -36,25 +41,22 @@ SCALES = {"peak_bytes": 1e-6}
 
 @dataclass
 class Line:
-    """The runs that differ in their seed alone.
+    """The runs that differ in their seed alone."""
 
-    Attributes:
-        place: Values of the axes but method and seed.
-        method: Name of the method.
-        runs: Its rows of the study's table.
-        spread: Mean and standard deviation over the seeds (None of fewer than two) by column; columns without a value
-            are missing.
-        places: Its rank among those that compete at the same place, by column.
-        alike: Whether all methods at this place are compared with noise-free pictures of the same enhancement; only
-            then do scores against these rank them.
-    """
-
-    place: dict[str, Any]
+    place: dict[str, Any]  # values of the axes but method and seed
     method: str
-    runs: list[Row]
+    runs: list[Row]  # its rows of the study's table
+    # Mean and standard deviation over the seeds (None of fewer than two) by column, where there are values.
     spread: dict[str, tuple[float, float | None]] = field(default_factory=dict)
-    places: dict[str, int] = field(default_factory=dict)
-    alike: bool = True
+    places: dict[str, int] = field(
+        default_factory=dict
+    )  # its rank among those that compete at the same place, by column
+    alike: bool = True  # whether references at this place are enhanced alike: else scores against them rank nothing
+
+    @property
+    def where(self) -> str:
+        """What a page calls its place."""
+        return str(self.place[CAPTURE]) if [*self.place] == [CAPTURE] else spelled(self.place) or "all runs"
 
     @property
     def in_linear_light(self) -> bool:
@@ -66,13 +68,10 @@ def lines_of(
     rows: Sequence[Row], axes: Mapping[str, Any], competes: Mapping[str, bool],
     enhancements: Mapping[int, str] | None = None,
 ) -> list[Line]:  # fmt: skip
-    """One line for each combination of all axes but the seed, best first at each place.
+    """One line for each combination of all axes but the seed of a study's table, best first at each place.
 
-    Args:
-        rows: Of the study's table.
-        axes: Its axes.
-        competes: Whether a method may be the best, by name.
-        enhancements: What the noise-free pictures of each run are enhanced by, by number of the row, where known.
+    `competes`: whether a method may be the best, by name; `enhancements`: what the noise-free pictures of each run are
+    enhanced by, by number of the row, where known.
     """
     others = [name for name in axes if name not in (METHOD, SEED)]
     groups: dict[tuple[Any, ...], Line] = {}

@@ -1,0 +1,105 @@
+"""What it cost: time and memory of every stage, and on what."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from markupsafe import Markup
+
+from novags.testbed.folders.run import METRICS, Run
+from novags.testbed.ledger.contents import read_json
+from novags.testbed.report.material import Material
+from novags.testbed.report.parts import Cell, Column, Page, Table, TableRow, heads, num
+from novags.testbed.report.words import duration, size
+
+BAR = Markup('<span class="bar {}" style="width:{:.1f}%"></span><small class="muted">{}</small>')
+
+
+def cost(material: Material, page: Page) -> dict[str, Any] | None:
+    """The stages, the machine, and where runs were not made alike."""
+    if not material.made:
+        return None
+    stages, rows = costs(material), list[TableRow]()
+    several = any(row["count"] > 1 for row in stages)
+    for row in stages:
+        parts = ", ".join(f"{part} {duration(seconds)}" for part, seconds in row["parts"].items())
+        bar, mean = BAR.format(row["look"], 100 * row["bar"], parts), row["seconds"] / row["count"]
+        rows.append(TableRow([
+            row["label"], *([num(row["count"], 0)] if several else []), num(row["seconds"], duration(row["seconds"])),
+            *([num(mean, duration(mean))] if several else []), Cell(bar, {"class": "wide", "data-value": row["share"]}),
+            num(row["peak"], size(row["peak"])),
+        ]))  # fmt: skip
+    columns = heads("Stage | #Times done | #Time in all | #Time each" if several else "Stage | #Time")
+    columns += [Column("Share", kind="wide"), Column("Peak memory", kind="num")]
+    runs = {each.name: each.run for each in material.made.values()}
+    main = runs[material.one.main] if material.one else next(iter(runs.values()))
+    return {"table": Table("costs", "Time and memory of every stage", columns, rows), "mixed": mixed(runs),
+            "shared": several, "hardware": main.record["stage"]["hardware"]}  # fmt: skip
+
+
+def costs(material: Material) -> list[dict[str, Any]]:
+    """Count, seconds in all and peak memory of the stages, in order, with the parts of reconstructions.
+
+    What runs share counts once. `share` is of the time of all stages, `bar` of the longest one's.
+    """
+    made: dict[str, dict[Path, Mapping[str, Any]]] = {}
+    runs, looks = list(material.made.values()), dict[str, str]()
+    for each in runs:
+        if stage := each.rendered.get("stage"):
+            made.setdefault(stage.get("name", "render"), {})[each.set] = stage
+    for each in runs:
+        label = "import" if each.captured.get("kind") == "imported" else "capture"
+        made.setdefault(label, {})[each.capture] = each.captured["stage"]
+    for each in runs:
+        label, called = f"reconstruct: {material.called(each)}", material.called(each)
+        looks[label] = material.looks[called].key if called in material.looks else ""
+        spent = {**each.run.record["stage"], "peak_bytes": each.run.peak_bytes, "parts": each.run.record["seconds"]}
+        made.setdefault(label, {})[each.run.path] = spent
+    scores = () if material.study else (each.run.path / METRICS for each in runs)
+    if scored := {path: stage for path in scores if path.exists() and (stage := read_json(path).get("stage"))}:
+        made["score"] = scored
+    found = [{"label": label, "look": looks.get(label, ""), "count": len(stages) if label != "score" else 1,
+              "seconds": sum(stage["seconds"] for stage in stages.values()), "parts": _parts(stages),
+              "peak": max(stage["peak_bytes"] for stage in stages.values())}
+             for label, stages in made.items()]  # fmt: skip
+    seconds = [row["seconds"] for row in found]
+    whole, longest = sum(seconds) or 1.0, max(seconds, default=0.0) or 1.0
+    return [{**row, "share": row["seconds"] / whole, "bar": row["seconds"] / longest} for row in found]
+
+
+def _parts(stages: Mapping[Path, Mapping[str, Any]]) -> dict[str, float]:
+    found: dict[str, float] = {}
+    for stage in stages.values():
+        for part, seconds in stage.get("parts", {}).items():
+            found[part] = found.get(part, 0.0) + seconds
+    return found
+
+
+def mixed(runs: Mapping[str, Run]) -> str:
+    """In words what differs between these runs: software, processor, graphics card; "" if nothing does.
+
+    Keys of results leave these out: a fit that was made elsewhere is no other fit. The last bits differ, though, and
+    scores with them: a comparison says so.
+    """
+    found: dict[str, dict[str, list[str]]] = {}
+    for name, run in runs.items():
+        stage = run.record["stage"]
+        hardware = {"processor": stage["hardware"]["processor"], "GPU": stage["hardware"]["gpu"] or "none"}
+        for what, value in {**stage["versions"], **hardware}.items():
+            found.setdefault(what, {}).setdefault(str(value), []).append(name)
+    for values in found.values():
+        listed = {name for names in values.values() for name in names}
+        if missing := [name for name in runs if name not in listed]:
+            values["not installed"] = missing
+    several = {what: values for what, values in found.items() if len(values) > 1}
+    if not several:
+        return ""
+    told = "; ".join(
+        f"{what} {', '.join(f'{value} ({_named(names)})' for value, names in values.items())}"
+        for what, values in several.items()
+    )
+    return f"These runs were not made alike, so that small differences between them say little: {told}."
+
+
+def _named(names: list[str]) -> str:
+    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")

@@ -1,0 +1,44 @@
+"""What was done, and which method comes first."""
+
+from typing import Any
+
+from novags.testbed.report.blocks.cost import costs
+from novags.testbed.report.grid import verdict as verdict_of_many
+from novags.testbed.report.material import Material, Place
+from novags.testbed.report.parts import Page
+from novags.testbed.report.verdict import cards, leading, verdict
+from novags.testbed.report.words import duration, join
+from novags.testbed.study.results import counted
+
+APART = (
+    "Runs of one capture have the same truth and are compared with each other; between captures the truth differs, and "
+    "so does what a score means."
+)
+
+
+def header(material: Material, page: Page) -> dict[str, Any]:
+    """Title, what was done, the verdict in words and, of one place, in numbers."""
+    found: dict[str, Any] = {"title": material.title, "verdict": "", "cards": []}
+    if (place := material.one) is not None:
+        seconds, found["verdict"] = sum(row["seconds"] for row in costs(material)), verdict(place)
+        return {**found, "what": what_was_done(place, seconds), "cards": cards(place, seconds)}
+    if material.study:
+        states = ", ".join(f"{count} {state}" for state, count in counted(material.rows).items())
+        return {**found, "what": f"{states}.", "verdict": verdict_of_many(material.lines, material.competes)}
+    return {**found, "what": f"{len(material.places)} captures, {len(material.rows)} runs. {APART}"}
+
+
+def what_was_done(place: Place, seconds: float) -> str:
+    """One sentence: scene, camera, light, methods, time."""
+    record, rendered, lost = place.capture.record, place.lit.views.kind == "rendered", len(place.lit.views.unregistered)
+    what, methods = f"{place.scene} ({record.width} × {record.height} px)", join(list(place.runs))
+    if (told := record.simulated) is None:
+        seen = "scored on" if leading(place) is not None else "rendered from"
+        return (f"{record.views} dark photographs of {what} were imported, reconstructed by {methods}, and {seen} "
+                f"views that no method had seen; all of it took {duration(seconds)}.")  # fmt: skip
+    views = f"{record.views}{f' of {record.views + lost}' if lost else ''} {'views' if rendered else 'photographs'}"
+    return (
+        f"{views} of {what} were {'rendered, ' if rendered else ''}taken in the dark by a simulated "
+        f"{record.sensor_name} camera at {told.electrons:g} electrons per green pixel, reconstructed by {methods}, and "
+        f"scored on views that no method had seen; all of it took {duration(seconds)}."
+    )

@@ -1,0 +1,43 @@
+"""How it looks: pictures, maps and the probe, of a few views of every place."""
+
+from typing import Any
+
+from novags.testbed.report.look.maps import ERROR_CEILING
+from novags.testbed.report.look.pictures import ViewTiles, view_tiles
+from novags.testbed.report.material import Material, Place
+from novags.testbed.report.parts import Page
+from novags.testbed.report.verdict import compared
+
+
+def look(material: Material, page: Page) -> dict[str, Any] | None:
+    """The views of every place; what cannot be shown is named with its reason."""
+    views, unseen = list[ViewTiles](), dict(material.unseen)
+    first: tuple[list[str], list[str]] = ([], [])
+    for done, (name, opened) in enumerate(material.places.items()):
+        try:
+            if (place := opened()) is None:
+                continue
+            mine = _views(place, name, page, done, len(material.places))
+        except (ValueError, OSError) as error:  # one damaged or old run must not cost the page of many
+            if material.one:
+                raise
+            unseen[name] = str(error)
+            continue
+        views += mine
+        for side, key in zip(first, compared(place), strict=True):
+            side.append(key)
+        for run in place.runs:
+            if any(tile.key == f"render-{run}" for tile in mine[0].tiles):
+                page.views[name, run] = mine[0].name
+    left, right = (list(dict.fromkeys(keys)) for keys in first)
+    page.data.update(left=[*left, "enhanced"], right=[*right, "truth-lit"])
+    return {"views": views, "unseen": unseen, "error_ceiling": ERROR_CEILING} if views or unseen else None
+
+
+def _views(place: Place, name: str, page: Page, done: int, places: int) -> list[ViewTiles]:
+    found = []
+    for i in place.views:
+        found.append(view_tiles(i, place, page.album, name))
+        count = len(place.views)
+        page.progress(done * count + len(found), places * count, f"view {found[-1].name}" if places == 1 else name)
+    return found

@@ -1,0 +1,158 @@
+"""Scores: of one place against every truth and view by view, of many in one table with places at each."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from markupsafe import Markup
+
+from novags.testbed.report.grid import SCALES, Line, main_column, shown_columns
+from novags.testbed.report.material import Material
+from novags.testbed.report.parts import Cell, Column, Page, Table, TableRow, num
+from novags.testbed.report.place import MAIN, Place
+from novags.testbed.report.tables import COLUMNS, digits, per_view
+from novags.testbed.report.verdict import table_of
+from novags.testbed.report.words import named, number, share, signed
+from novags.testbed.stages.scoring import bounds_of
+from novags.testbed.study.light import METHOD
+from novags.testbed.study.results import CSV
+from sensor_model.files.door import resolved
+
+LPIPS = "lit.lpips"
+LONG = 20  # letters of a place that need room
+LABELS = {"geometry": ("geometry", "the true surfaces"), "noise": ("noise", "the known noise")}
+SHOWN = {"recovered": share, "recovered_lit": share, "over.enhanced": signed, "over.lit": signed}  # else by digits
+SPREAD = {"mean": "Mean", "sd": "Standard deviation", "worst": "Worst view", "best": "Best view"}
+THERE = "Place among the methods that are compared with each other, by the column that the table is sorted by"
+RANK = Column("#", kind="rank", attributes={"title": THERE})
+More = tuple[Column, Mapping[str, float], Callable[[float], str]]  # values by run, and how they are shown
+Grid = Sequence[tuple[str, str, str, bool, int]]  # columns as in COLUMNS of `grid`
+
+
+def scores(material: Material, page: Page) -> dict[str, Any]:
+    """The tables of one place, or the one of many."""
+    return _of_many(material, page) if material.one is None else _of_one(material, material.one, page)
+
+
+def _of_one(material: Material, place: Place, page: Page) -> dict[str, Any]:
+    metrics = place.metrics
+    commands = {made.name: material.commands[number] for number, made in material.made.items()}
+    recovered = {"enhanced": metrics["recovered"], "lit": metrics.get("recovered_lit", {})}
+    views = {kind: per_view(metrics, kind) for kind in COLUMNS if kind not in LABELS}
+    tables = {}
+    for kind in COLUMNS:
+        over, base = place.deltas(kind) if kind in MAIN else ({}, "")
+        more = [(Column(f"Over {base}", "dB", "num"), over, signed)] if over else []
+        more += [(Column("Recovered", kind="num"), recovered[kind], share)] if recovered.get(kind) else []
+        tables[kind] = ranked_table(kind, place, commands, more)
+    looks = {name: {"key": row.key, "competes": row.competes} for name, row in place.rows.items()}
+    page.data.update(views=views, looks=looks)
+    ends = [_ends(place, end) for end in ("floor", "ceiling")] if any(recovered.values()) else []
+    return {
+        "many": False, "tables": tables, "one_reference": place.one_reference,
+        "views": {kind: (found, _views(kind, found, place)) for kind, found in views.items() if found},
+        "ends": ends if all(ends) else [], "in_linear_light": list(place.exposures),
+        "imported": place.capture.imported is not None, "kind": place.lit.views.kind,
+        "unscored": [metrics["unavailable"][kind] for kind in views if kind in metrics["unavailable"]],
+        "methods": [(named(row), row.title) for row in place.rows.values()],
+    }  # fmt: skip
+
+
+def ranked_table(
+    kind: str, place: Place, commands: Mapping[str, str | None], more: Sequence[More] = ()
+) -> Table | None:
+    """The runs of a place, best first, and what stands behind the scores; None where none is scored so."""
+    rows, shown = list[TableRow](), [RANK, Column("Method")]
+    for key, heading, unit, better in COLUMNS[kind]:
+        first = {"data-sorted": "descending" if better else "ascending"} if key == COLUMNS[kind][0][0] else {}
+        shown.append(Column(heading, unit, "num", better, first))
+    for row in table_of(place, kind):
+        name, rank = row["method"], row["cells"][0]["rank"] or ("" if row["competes"] else "†")
+        cells = [num(c["value"], digits(c["key"]), rank=c["rank"], best=c["best"]) for c in row["cells"]]
+        cells += [num(values.get(name), said(values[name]) if name in values else "") for _, values, said in more]
+        cells = [Cell(rank, {"class": "rank"}), Cell(named(place.rows[name])), *cells]
+        rows.append(TableRow(cells, {"data-command": commands.get(name)}))
+    name, against = LABELS.get(kind, (f"scores-{kind}", kind))
+    shown += [column for column, *_ in more]
+    return Table(name, f"Scores against {against}", shown, rows, "scores") if rows else None
+
+
+def _views(kind: str, found: Mapping[str, Any], place: Place) -> Table:
+    score = next(iter(found["scores"].values()))
+    rows = [TableRow([view, *(num(value, score["digits"]) for value in values)], {"data-view": view})
+            for view, values in zip(found["views"], score["values"], strict=True)]  # fmt: skip
+    spread = {what: [num(value, "" if value is None else score["digits"]) for value in score["spread"][what]]
+              for what in SPREAD}  # fmt: skip
+    foot = [TableRow([label, *spread[what]], {"data-spread": what}) for what, label in SPREAD.items()]
+    columns = [Column("View"), *(Column(named(place.rows[name]), kind="num") for name in found["methods"])]
+    return Table(f"views-{kind}", "Scores of every held-out view", columns, rows, foot=foot)
+
+
+def _ends(place: Place, end: str) -> str:
+    """One end of the scale of what is recovered, in words; "" where it has no run."""
+    names = bounds_of({name: run.method for name, run in place.runs.items()}).get(end, [])
+    return "".join(names) if len(names) < 2 else f"the mean of {len(names)} runs of {place.runs[names[0]].method}"
+
+
+def _of_many(material: Material, page: Page) -> dict[str, Any]:
+    lines, columns = material.lines, shown_columns(material.lines)
+    axes = [name for name in material.varied if name in lines[0].place]
+    main = main_column(lines) or next((column for column, *_ in columns), "")
+    heads = [RANK, *_filters("Method", *axes), Column("Runs", kind="num"), *_columns(columns)]
+    rows = (_line(line, material, page, axes, columns, main) for line in lines)
+    return {
+        "many": True, "table": Table("combinations", "Scores of every combination", heads, rows, "scores"),
+        "runs": _runs(material, columns) if material.study else None, "lost": material.lost,
+        "in_linear_light": list(dict.fromkeys(line.method for line in lines if line.in_linear_light)),
+        "alike": all(line.alike for line in lines), "no_lpips": not any(LPIPS in line.spread for line in lines),
+        "pictures": bool(page.views), "floors": not material.study, "seeds": any(len(line.runs) > 1 for line in lines),
+        "csv": CSV if material.study and resolved(material.path.parent) == resolved(material.study[0]) else None,
+    }  # fmt: skip
+
+
+def _filters(*names: str) -> list[Column]:
+    return [Column(name, attributes={"data-filter": ""}) for name in names]
+
+
+def _columns(columns: Grid) -> list[Column]:
+    return [Column(heading, unit, "num", more) for _, heading, unit, more, _ in columns]
+
+
+def _line(line: Line, material: Material, page: Page, axes: Sequence[str], columns: Grid, main: str) -> TableRow:
+    """The runs that differ in their seed alone."""
+    look, view = material.looks[line.method], page.views.get((line.where, line.method))
+    done, of = sum(row["state"] == "done" for row in line.runs), len(line.runs)
+    commands = [found for each in line.runs if (found := material.commands.get(int(each["run"])))]
+    cells = [Cell(line.places.get(main) or ("" if look.competes else "†"), {"class": "rank"}), Cell(named(look))]
+    for value in (line.place[axis] for axis in axes):
+        kind = "axis" if isinstance(value, int | float) else "where" if len(value) > LONG else None
+        cells.append(Cell(value, {"class": kind}))
+    cells.append(num(done, f"{done} of {of}" if done < of else str(done)))
+    for column, _, _, _, places in columns:
+        mean, sd = line.spread.get(column, (None, None))
+        text, rank = _text(column, mean, places), line.places.get(column)
+        text = text if sd is None else Markup("{} <small>± {}</small>").format(text, _text(column, sd, places))
+        cells.append(num(mean, text, rank=rank, sd=sd, best=rank == 1))
+    return TableRow(cells, {"data-of": line.where, "data-command": "\n".join(commands) or None, "data-view": view,
+                            "data-picture": view and f"render-{line.method}"})  # fmt: skip
+
+
+def _text(column: str, value: Any, places: int) -> str:
+    if value is None or isinstance(value, str):
+        return value or ""
+    return SHOWN[column](value) if column in SHOWN else number(value, places)
+
+
+def _runs(material: Material, columns: Grid) -> Table:
+    """Every run of a study by itself."""
+    axes, rows = material.varied, list[TableRow]()
+    for row in material.rows:
+        cells = [Cell(row["run"], {}), Cell(named(material.looks[row[METHOD]]))]
+        cells += [Cell(row[name], {}) for name in (*axes, "state")]
+        for column, _, _, _, places in columns:
+            value = row.get(column) if row["state"] == "done" else None
+            value = value * SCALES.get(column, 1) if isinstance(value, int | float) else value
+            cells.append(num(value, _text(column, value, places)))
+        told = {"data-of": f"run {row['run']}", "data-command": material.commands.get(int(row["run"]))}
+        rows.append(TableRow(cells, told))
+    heads = [Column("Run", kind="num"), *_filters("Method", *axes, "State"), *_columns(columns)]
+    return Table("runs", "Scores of every run", heads, rows, "scores", whole=True)

@@ -1,0 +1,92 @@
+"""What blocks are made of: a page in the making, and tables in one form, whatever they are on."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from novags.testbed.console import Update
+from novags.testbed.report.look.album import Album
+from novags.testbed.report.material import Material
+from novags.testbed.report.words import number
+
+Attributes = Mapping[str, Any]  # of an element; those that are None are left out
+
+
+@dataclass
+class Page:
+    """A page in the making."""
+
+    path: Path
+    album: Album
+    progress: Update
+    views: dict[tuple[str, str], str] = field(default_factory=dict)  # that show a run, by its place and its name
+    data: dict[str, Any] = field(default_factory=dict)  # what the scripts need
+
+
+Shown = Mapping[str, Any] | None
+
+
+@dataclass(frozen=True)
+class Block:
+    """A part of a page, for one place or many; `BLOCKS` says which there are."""
+
+    name: str  # of its template
+    read: Callable[[Material, Page], Shown]  # what the template shows; None where there is nothing
+    files: Callable[[Material], Iterable[Path]] = lambda material: ()  # beside the page, that it writes
+
+
+class Column(NamedTuple):
+    """A column of a table; `more`: whether more is better, which an arrow says."""
+
+    heading: Any
+    unit: str = ""
+    kind: str | None = None  # its class: "num", "rank", "wide"; None of text
+    more: bool | None = None
+    attributes: Attributes = {}  # of its heading
+
+
+class Cell(NamedTuple):
+    """A cell; without attributes it is the heading of its row."""
+
+    text: Any
+    attributes: Attributes | None = None
+
+
+class TableRow(NamedTuple):
+    """A row of a table; a text in front is its heading."""
+
+    cells: Sequence[Any]
+    attributes: Attributes = {}
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table that can be sorted and saved."""
+
+    name: str  # by which scripts and links know it
+    label: str  # for those who do not see it
+    columns: Sequence[Column]
+    rows: Iterable[TableRow]
+    style: str = ""  # its class
+    foot: Sequence[TableRow] = ()
+    whole: bool = False  # whether all rows are laid out at once; otherwise only the first hundred are
+
+
+def heads(said: str) -> list[Column]:
+    """Columns from their headings, as in "Stage | #Time [s]": numbers have a #."""
+    found = []
+    for head in said.split(" | "):
+        heading, _, unit = head.rstrip("]").partition(" [")
+        found.append(Column(heading.removeprefix("#"), unit, "num" if heading.startswith("#") else None))
+    return found
+
+
+def num(
+    value: Any, shown: str | int = 2, *, rank: int | None = None, sd: float | None = None, best: bool = False
+) -> Cell:
+    """A number, with the text that shows it or with so many digits."""
+    text = shown if isinstance(shown, str) else number(value, shown)
+    kind = " best" if best else " muted" if value is None and text else ""
+    told = {"class": f"num{kind}", "data-value": "" if value is None else value, "data-rank": rank, "data-sd": sd}
+    return Cell(text, told)

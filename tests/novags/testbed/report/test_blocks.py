@@ -1,0 +1,117 @@
+"""Claims about blocks: pages of one place and of many are made of the same ones, and none has what is taken out."""
+
+import json
+import os
+import re
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from novags.testbed.console import Console
+from novags.testbed.report import page
+from novags.testbed.report.blocks.cost import costs
+from novags.testbed.report.material import Material, material_of
+from novags.testbed.report.place import Place, read_place
+from novags.testbed.report.study import study_material
+
+QUIET = Console(quiet=True)
+NAMES = [block.name for block in page.BLOCKS]
+SCORES = {("naive", 5): 20.0, ("better", 5): 23.0, ("naive", 50): 26.0, ("better", 50): 25.0}
+
+CAMERAS = {"source": "sfm", "unregistered": ["0003"], "registered_share": 0.9, "mean_rotation_deg": 1.0,
+           "mean_centre_error": 0.1, "depth_scale": 1.0}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def study(experiment: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A study of two methods at two light levels by two seeds, whose runs are those of the made report; one failed."""
+    folder = tmp_path_factory.mktemp("study")
+    axes = {"scene": ["a"], "electrons": [5, 50], "method": ["naive", "better"], "seed": [0, 1]}
+    rows = [{"run": 2 * n + seed, "scene": "a", "electrons": electrons, "method": method, "seed": seed, "state": "done",
+             "folder": os.path.relpath(experiment / method, folder), "enhanced.aligned_psnr": value + seed}
+            for n, ((method, electrons), value) in enumerate(SCORES.items()) for seed in (0, 1)]  # fmt: skip
+    rows[-1] |= {"state": "failed", "reason": "the <disk> broke"}
+    (folder / "results.json").write_text(json.dumps({"axes": axes, "columns": [], "rows": rows}))
+    table = {"variant": {"better": {"method": "naive"}}, "grid": axes}
+    (folder / "study.json").write_text(json.dumps({"file": "l.toml", "table": table}))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def copy(experiment: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The made report's runs once more, in other folders."""
+    return Path(shutil.copytree(experiment, tmp_path_factory.mktemp("copy") / "page"))
+
+
+def renamed(place: Place) -> Place:
+    """A place with names of runs that no other has."""
+    runs = {f"other/{name}": run for name, run in place.runs.items()}
+    scores = {f"other/{name}": found for name, found in place.metrics["methods"].items()}
+    return replace(place, runs=runs, metrics={**place.metrics, "methods": scores})
+
+
+Kind = Callable[[Path], Material]
+
+
+@pytest.fixture(params=["one", "several", "study"])
+def kind(request: pytest.FixtureRequest, experiment: Path, copy: Path, study: Path) -> Kind:
+    """What makes the material of a page of one place, of several captures, or of a study."""
+
+    def make(path: Path) -> Material:
+        if request.param == "study":
+            return study_material(study, path)
+        place = read_place(experiment, QUIET)
+        for run in place.runs.values():
+            run.record["cameras"] = CAMERAS  # so that their block has something to show, too
+        return material_of([place] if request.param == "one" else [place, renamed(read_place(copy, QUIET))], path)
+
+    return make
+
+
+def blocks_of(made: Path) -> list[str]:
+    return re.findall(r'<(?:section|header) data-block="([^"]+)"', made.read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_block_that_is_taken_out_is_on_no_page(
+    name: str, kind: Kind, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = blocks_of(page.build(kind(tmp_path / "whole.html"), QUIET))
+    monkeypatch.setattr(page, "BLOCKS", tuple(block for block in page.BLOCKS if block.name != name))
+    left = blocks_of(page.build(kind(tmp_path / "less.html"), QUIET))
+    assert left == [each for each in whole if each != name]
+    assert whole == [each for each in NAMES if each in whole]
+
+
+SEVERAL = {"header", "look", "scores", "cost", "signal", "simulated", "departures", "configuration"}
+
+
+def test_a_page_of_one_place_and_one_of_many_have_the_same_blocks(
+    kind: Kind, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    found = set(blocks_of(page.build(kind(tmp_path / "page.html"), QUIET)))
+    assert found >= SEVERAL
+    own = {"one": {"cameras", "training"}, "several": set(), "study": {"light", "failed"}}
+    assert found - SEVERAL >= own[request.node.callspec.params["kind"]]
+
+
+def material(study: Path) -> Material:
+    return study_material(study, study / "report.html")
+
+
+def test_shared_stages_count_once(study: Path) -> None:
+    found = {row["label"]: row for row in costs(material(study))}
+    assert {label: row["count"] for label, row in found.items()} == {
+        "render": 1, "capture": 1, "reconstruct: naive": 1, "reconstruct: better": 1
+    }  # fmt: skip
+    assert found["reconstruct: naive"]["seconds"] == 2.0
+
+
+def test_the_costs_of_a_program_are_its_own_memory(study: Path) -> None:
+    found = material(study)
+    for each in found.made.values():
+        each.run.record["peak_bytes"] = 7_000_000_000
+    assert {row["label"]: row["peak"] for row in costs(found)}["reconstruct: naive"] == 7_000_000_000
