@@ -1,4 +1,4 @@
-"""Hard cases beside those of `novags.testbed.stability.parts.sensor`: claims about what a frame looks like."""
+"""Hard cases beside those of `tests/stability/sensor`: claims about what a frame looks like."""
 
 import math
 from dataclasses import replace

@@ -1,38 +1,81 @@
-"""Every case of a part, in every setting that this machine offers."""
+"""Every hard case of a file's `PART`, in every setting that this machine offers, and the page of their errors."""
 
-from collections.abc import Callable
-from types import ModuleType
+from collections.abc import Callable, Iterable
+from pathlib import Path
 
 import pytest
 
-from novags.testbed.stability import PARTS, Part, Setting, measured
+from tests.stability.case import Case, Error, Fails, Part, Setting
 
 
-def part_of(module: ModuleType) -> Part:
-    """The part that a file of tests is named for."""
-    return PARTS[module.__name__.rpartition("test_")[2]]
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--hard-cases", type=Path, metavar="PAGE", help="page that takes the errors of the hard cases")
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """A test with arguments `case` and `setting` runs once for each of the part that its file is named for."""
+    """A test with arguments `case` and `setting` runs once for each of its file's part."""
     if {"case", "setting"} <= set(metafunc.fixturenames):
         rows = [
             pytest.param(case, setting, id=f"{case.name}, {setting}", marks=[pytest.mark.slow] if case.slow else [])
-            for case in part_of(metafunc.module).cases
+            for case in metafunc.module.PART.cases
             for setting in case.settings()
         ]
         metafunc.parametrize(("case", "setting"), rows)
 
 
 @pytest.fixture
-def fails(request: pytest.FixtureRequest) -> Callable[..., bool]:
-    """A function of a case's name and a backend: whether its error is beyond its bound, as the code is now."""
-    cases = {case.name: case for case in part_of(request.module).cases}
+def error(record_property: Callable[[str, object], None]) -> Error:
+    """A function: the error of a case in a setting, which goes on record for the page."""
 
-    def fails(name: str, backend: str = "torch") -> bool:
-        found = measured(cases[name], Setting(backend, 1))
-        # An exception counts as an infinite error: that of a stand-in which cannot even be called shows nothing.
-        assert not str(found.reason).startswith(("TypeError", "AttributeError", "NameError")), found.reason
-        return not found.holds
+    def error(case: Case, setting: Setting) -> float:
+        found = case.error(setting)
+        record_property("hard case", (case.part, case.name, case.bound, case.unit, setting.backend, found))
+        return found
+
+    return error
+
+
+@pytest.fixture
+def fails(request: pytest.FixtureRequest) -> Fails:
+    """A function of (the start of) a case's name and a backend: whether it exceeds its bound, as the code is now."""
+    part: Part = request.module.PART
+
+    def fails(name: str, backend: str | None = None) -> bool:
+        case = part.named(name)
+        try:
+            return not case.error(Setting(backend or case.backends[0])) <= case.bound  # NaN fails
+        except (TypeError, AttributeError, NameError):
+            raise  # a stand-in that cannot even be called shows nothing
+        except Exception:
+            return True
 
     return fails
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, exitstatus: int, config: pytest.Config) -> None:
+    page = config.getoption("hard_cases", None)
+    if page is None:
+        return
+    if exitstatus:
+        terminalreporter.write_line(f"{page} stays as it is: its numbers are those of a run that passes")
+        return
+    passed = sorted(terminalreporter.stats["passed"], key=lambda report: report.nodeid.partition("::")[0])
+    rows = [value for report in passed for name, value in report.user_properties if name == "hard case"]
+    head, heading, _ = page.read_text(encoding="utf-8").partition("## Measured\n")
+    page.write_text(f"{head}{heading}{tables(rows)}", encoding="utf-8")
+    terminalreporter.write_line(f"{page}: the errors of {len({(row[0], row[1]) for row in rows})} hard cases")
+
+
+def tables(rows: Iterable[tuple[str, str, float, str, str, float]]) -> str:
+    """A Markdown table a part; a row a case with the worst error of all its settings."""
+    parts: dict[str, dict[tuple[str, float, str], list[tuple[str, float]]]] = {}
+    for part, name, bound, unit, backend, found in rows:
+        parts.setdefault(part, {}).setdefault((name, bound, unit), []).append((backend, found))
+    text = ""
+    for part, cases in parts.items():
+        text += f"\n### {part}\n\n| case | worst error | bound | | computed by |\n|---|---|---|---|---|\n"
+        for (name, bound, unit), errors in cases.items():
+            worst = max(found for _, found in errors)
+            backends = ", ".join(dict.fromkeys(backend for backend, _ in errors))
+            text += f"| {name} | {worst:.2g} | {bound:.2g} | {unit} | {backends} |\n"
+    return text

@@ -1,33 +1,51 @@
+"""Claims about the hard cases as such: what fails, what is refused, and what their page shows."""
+
 import math
 
 import pytest
 
-from novags.testbed.stability import Case, Part, Setting, embedded, markdown, measured, refusal
-from novags.testbed.stability.case import available, worse
-from novags.testbed.stability.table import BEGIN, END
+from tests.stability.case import available, refusal, worse
 
-HERE = Setting("torch", 1)
+FILE = """
+from tests.stability.case import Part
 
-
-def case_that(measure, bound: float = 1e-3) -> Case:
-    part = Part("part")
-    part.case("a case", bound=bound, unit="relative")(measure)
-    return part.cases[0]
+PART = Part("made_up")
 
 
-@pytest.mark.parametrize("error", [math.nan, math.inf, 2e-3])
-def test_errors_that_are_no_numbers_or_too_large_do_not_hold(error: float) -> None:
-    assert not measured(case_that(lambda setting: error), HERE).holds
+@PART.case("a case", bound=1e-3, unit="relative")
+def _(setting):
+    return {errors}[setting.threads - 1]
 
 
-def test_an_error_at_the_bound_holds() -> None:
-    assert measured(case_that(lambda setting: 1e-3), HERE).holds
+def test_the_error_stays_within_its_bound(case, setting, error):
+    assert error(case, setting) <= case.bound
+"""
 
 
-def test_an_exception_counts_as_an_infinite_error_and_is_named() -> None:
-    found = measured(case_that(lambda setting: 1 / 0), HERE)
-    assert found.error == math.inf
-    assert "ZeroDivisionError" in str(found)
+def run(pytester: pytest.Pytester, errors: str) -> tuple[dict[str, int], str]:
+    """How the two settings of a case with these errors end, and the page that takes them."""
+    pytester.makeconftest("from tests.stability.conftest import *")
+    pytester.makepyfile(FILE.format(errors=errors))
+    page = pytester.path / "page.md"
+    page.write_text("# Page\n\n## Measured\n\nold\n")
+    done = pytester.runpytest_inprocess("--hard-cases", page, "-p", "no:cacheprovider")
+    return done.parseoutcomes(), page.read_text()
+
+
+@pytest.mark.parametrize("error", ["float('nan')", "float('inf')", "2e-3"])
+def test_an_error_that_is_no_number_or_too_large_fails_and_leaves_the_page(
+    pytester: pytest.Pytester, error: str
+) -> None:
+    outcome, page = run(pytester, f"[1e-4, {error}]")
+    assert (outcome["passed"], outcome["failed"]) == (1, 1)
+    assert page.endswith("old\n")
+
+
+def test_an_error_at_the_bound_holds_and_the_page_shows_the_worst_setting(pytester: pytest.Pytester) -> None:
+    outcome, page = run(pytester, "[1e-4, 1e-3]")
+    assert outcome["passed"] == 2
+    assert page.startswith("# Page\n\n## Measured\n\n### made_up\n\n")
+    assert page.splitlines()[-1] == "| a case | 0.001 | 0.001 | relative | torch |"
 
 
 def fail(error: Exception) -> None:
@@ -41,20 +59,6 @@ def test_a_refusal_is_a_value_error_of_one_line_with_the_words_expected() -> Non
     assert refusal(lambda: None) == math.inf
 
 
-def test_the_table_shows_the_worst_setting_and_marks_what_does_not_hold() -> None:
-    case = case_that(lambda setting: {1: 1e-4, 2: 5e-3}[setting.threads])
-    row = markdown([measured(case, setting) for setting in case.settings()]).splitlines()[-1]
-    assert row == "| a case | **0.005** | 0.001 | relative | torch |"
-
-
-def test_new_tables_replace_the_old_ones_of_their_parts_and_nothing_else() -> None:
-    page = f"# Page\n\n{BEGIN}\n\n### a\n\nold a\n\n### b\n\nold b\n\n{END}\n\nText.\n"
-    again = embedded(page, "### b\n\nnew b\n\n### c\n\nnew c\n")
-    assert again == f"# Page\n\n{BEGIN}\n\n### a\n\nold a\n\n### b\n\nnew b\n\n### c\n\nnew c\n\n{END}\n\nText.\n"
-    assert embedded(again, "### b\n\nnew b\n") == again
-    assert embedded("", "### a\n") == "### a\n"
-
-
 def test_an_error_that_is_nan_is_never_lost_among_others() -> None:
     assert math.isnan(worse(0.0, math.nan))
     assert math.isnan(worse(math.nan, 1.0))
@@ -63,7 +67,7 @@ def test_an_error_that_is_nan_is_never_lost_among_others() -> None:
 
 def test_a_backend_that_is_not_here_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
     asked = []
-    monkeypatch.setattr("simscenes.backend.backend_status", lambda name: (asked.append(name), (False, "none"))[1])
+    monkeypatch.setattr("tests.stability.case.backend_status", lambda name: (asked.append(name), (False, "none"))[1])
     assert not available("llvm_ad_rgb")
     assert asked == ["llvm_ad"]
     assert available("numpy")

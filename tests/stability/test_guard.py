@@ -17,7 +17,7 @@ from novags.splats import FitConfig, Gaussians, NotFinite, Views, fit
 from novags.splats.training.checkpoint import load_checkpoint
 from novags.splats.training.guard import require_finite
 from novags.splats.training.step import Step
-from novags.testbed.stability.parts.methods.long_runs import problem
+from tests.stability.wall import problem
 
 FITTING = sys.modules["novags.splats.training.fit"]  # the package's `fit` is the function
 

@@ -33,7 +33,7 @@ LINES = [
     "report run",
     "characterise frames --out c.toml --window 64",
     "import dark --out cap --lit lit --clean clean --sensor ideal --time 0.1 --black 64 --white 1023 --curve linear",
-    "doctor --stability --part enhance --out t.md",
+    "doctor",
     "list scenes",
     "help electrons",
 ]
@@ -104,16 +104,14 @@ def _leave_out_the_work() -> None:
     import novags.testbed.report.place as place
     import novags.testbed.study.place as experiment
     from novags.commands import shared
-    from novags.testbed import stability, stages
+    from novags.testbed import stages
 
     for module, names in (
         (stages, ("render", "poses", "import_photographs", "capture", "reconstruct", "score")),
         (experiment, ("score_all",)), (doctor, ("examine",)),
-        (stability, ("measure",)), (stability, ("markdown",)),
     ):  # fmt: skip
         for name in names:
             setattr(module, name, _nothing)
-    stability.markdown = lambda results: ""
     view = {"error": 0.1, "relative_error": 0.1, "error_by_brightness": [0.1], "noise_by_brightness": [0.1]}
     stages.render = lambda *a, **k: {"views": {"0000": view}}  # type: ignore[assignment]
     experiment.run = lambda *a, **k: Path("report.html")

@@ -1,14 +1,20 @@
-"""A hard case: what is computed, where, and the error it may have."""
+"""A hard case: what is computed, where, the error it may have, and how far a result is from its reference."""
 
 import math
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from typing import Any
 
 import numba
+import numpy as np
 import torch
 
+from novags.testbed.machine.provenance import package_version
+from simscenes.backend import backend_status
+
+EPS = float(np.finfo(np.float32).eps)
+LARGEST = "of the largest value"  # the unit of `relative_error`
 THREADS = (1, 2)
 THREADED = ("torch", "numba", "gsplat")  # numpy has one thread, Mitsuba its own pool
 
@@ -18,7 +24,7 @@ class Setting:
     """Where a case is computed: one of its backends, on so many threads."""
 
     backend: str
-    threads: int
+    threads: int = 1
 
     def __str__(self) -> str:
         return f"{self.backend}, {self.threads} thread{'s' if self.threads > 1 else ''}"
@@ -46,28 +52,14 @@ class Case:
         here = [backend for backend in self.backends if available(backend)]
         return [Setting(backend, n) for backend in here for n in (THREADS if backend in THREADED else (1,))]
 
+    def error(self, setting: Setting) -> float:
+        """The error in a setting."""
+        with _threads(setting.threads):
+            return float(self.measure(setting))
 
-@dataclass(frozen=True)
-class Measured:
-    """The error of a case in a setting; `reason` is the exception that took its place, if one did."""
 
-    case: Case
-    setting: Setting
-    error: float
-    seconds: float
-    reason: str | None = None
-
-    @property
-    def holds(self) -> bool:
-        """Whether the error is a number within the bound."""
-        return self.error <= self.case.bound
-
-    def __str__(self) -> str:
-        reason = f": {self.reason}" if self.reason else ""
-        return (
-            f"{self.case.part}, {self.case.name} ({self.setting}): error {self.error:.2g}, "
-            f"bound {self.case.bound:.2g} {self.case.unit}{reason}"
-        )
+Error = Callable[[Case, Setting], float]  # the fixtures of these names
+Fails = Callable[..., bool]
 
 
 @dataclass
@@ -87,7 +79,7 @@ class Part:
             bound: Largest error that holds.
             unit: What the error is relative to.
             backends: "torch", "numba", "gsplat" (on a GPU), "numpy", or a Mitsuba variant.
-            slow: Takes longer than some seconds: left out unless asked for.
+            slow: Takes longer than some seconds: left out of the default run.
         """
 
         def add(measure: Callable[[Setting], float]) -> Callable[[Setting], float]:
@@ -102,30 +94,21 @@ class Part:
 
         return add
 
+    def named(self, start: str) -> Case:
+        """The case of that name, or the only one whose name starts so."""
+        (found,) = [case for case in self.cases if case.name == start] or [
+            case for case in self.cases if case.name.startswith(start)
+        ]
+        return found
+
 
 def available(backend: str) -> bool:
     """Whether this machine has a backend."""
     if backend == "gsplat":
-        from novags.testbed.machine.provenance import package_version
-
         return torch.cuda.is_available() and package_version("gsplat") is not None
     if "_" in backend:  # a Mitsuba variant
-        from simscenes.backend import backend_status
-
         return backend_status(backend.rpartition("_")[0])[0]  # without its colours
     return True
-
-
-def measured(case: Case, setting: Setting) -> Measured:
-    """Compute a case; an exception counts as an infinite error."""
-    start = time.perf_counter()
-    reason = None
-    with _threads(setting.threads):
-        try:
-            error = float(case.measure(setting))
-        except Exception as problem:  # whatever it is, the case does not hold
-            error, reason = math.inf, f"{type(problem).__name__}: {problem}"
-    return Measured(case, setting, error, time.perf_counter() - start, reason)
 
 
 def refusal(work: Callable[[], object], *words: str) -> float:
@@ -141,6 +124,36 @@ def refusal(work: Callable[[], object], *words: str) -> float:
 def worse(*errors: float) -> float:
     """The largest of some errors; NaN if one is NaN, which `max` loses."""
     return math.nan if any(map(math.isnan, errors)) else float(max(errors))
+
+
+def relative_error(found: Any, wanted: Any) -> float:
+    """The largest difference over the largest value of the reference; infinite where a number found is not finite.
+
+    Args:
+        found: Array or tensor of any float dtype.
+        wanted: The reference, of the same shape. All zero: the difference itself is returned.
+
+    Raises:
+        ValueError: If the shapes differ, or the reference is not finite.
+    """
+    found, wanted = _array(found), _array(wanted)
+    if found.shape != wanted.shape or not np.isfinite(wanted).all():
+        raise ValueError(f"the reference must be finite and of shape {found.shape}, got {wanted.shape}")
+    if not np.isfinite(found).all():
+        return math.inf
+    largest = float(np.abs(wanted).max(initial=0.0)) or 1.0
+    return float(np.abs(found - wanted).max(initial=0.0)) / largest
+
+
+def worst_error(pairs: Iterable[tuple[Any, Any]]) -> float:
+    """The largest `relative_error` of pairs (found, wanted), each relative to its own largest value."""
+    return max(relative_error(found, wanted) for found, wanted in pairs)
+
+
+def _array(values: Any) -> np.ndarray:
+    if isinstance(values, torch.Tensor):
+        values = values.detach().cpu().double().numpy()
+    return np.asarray(values, dtype=np.float64)
 
 
 @contextmanager

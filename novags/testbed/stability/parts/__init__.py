@@ -1,1 +1,0 @@
-"""The hard cases, one file a part of the project."""

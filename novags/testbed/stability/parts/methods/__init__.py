@@ -1,1 +1,0 @@
-"""Hard cases of what methods are made of, and whole fits."""
