@@ -40,7 +40,21 @@ LAYERS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("commands",),
         ("cli", "__main__"),
     ),
+    "novags.testbed": (
+        ("metrics", "console"),
+        ("ledger",),
+        ("folders",),
+        ("importing",),
+        ("stages",),
+        ("study",),
+        ("report",),
+        ("pareto",),
+        ("budget",),
+        ("viewer",),
+        ("flight", "dataset"),
+    ),
 }
+FLOORS = 9  # of the test bed: as many folders as a path of imports may lead through
 
 
 def module_name(path: Path) -> str:
@@ -111,7 +125,29 @@ def test_layers_inside_a_package_import_downwards_only(package: str) -> None:
 @pytest.mark.parametrize("package", LAYERS)
 def test_every_part_of_a_package_has_a_layer(package: str) -> None:
     known = {name for layer in LAYERS[package] for name in layer}
-    assert {name.split(".")[1] for name in modules() if name.startswith(f"{package}.")} == known
+    assert {part(name, package) for name in modules() if name.startswith(f"{package}.")} == known
+
+
+def part(name: str, package: str) -> str:
+    """The part of a package that a module lies in."""
+    return name.removeprefix(f"{package}.").partition(".")[0]
+
+
+def test_no_path_through_the_folders_of_the_testbed_is_long_or_a_circle() -> None:
+    testbed = "novags.testbed"
+    arrows: dict[str, set[str]] = {}
+    for name in inside(testbed)[1:]:
+        targets = {part(target, testbed) for target in imports(name) if target.startswith(f"{testbed}.")}
+        arrows.setdefault(part(name, testbed), set()).update(targets - {part(name, testbed)})
+    assert arrows["stages"] >= {"ledger", "folders"}
+
+    def longest(folder: str, path: tuple[str, ...] = ()) -> tuple[str, ...]:
+        assert folder not in path, f"a circle: {' -> '.join((*path, folder))}"
+        return max((longest(other, (*path, folder)) for other in arrows.get(folder, ())), key=len,
+                   default=(*path, folder))  # fmt: skip
+
+    found = max((longest(folder) for folder in arrows), key=len)
+    assert len(found) <= FLOORS, " -> ".join(found)
 
 
 def test_there_are_no_import_cycles() -> None:

@@ -13,12 +13,12 @@ from novags.testbed.budget.choice import Choice, Option, choice_of, choose, fast
 from novags.testbed.budget.known import Known, known
 from novags.testbed.budget.settings import OF_A_RENDER, WORDS, open_options, turned, values
 from novags.testbed.budget.trial import Forecast, OutOfTime, forecast
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.folders.experiment import EXPERIMENT
 from novags.testbed.ledger.contents import digest, jsonable, read_json, write_json
 from novags.testbed.ledger.dry import NOT_DONE, dry_run, planned
-from novags.testbed.presets import Preset
 from novags.testbed.study import place as experiment
+from novags.testbed.study.cells.presets import Preset
 from sensor_model.files.lock import locked
 from sensor_model.files.reading import brief
 

@@ -6,8 +6,8 @@ from pathlib import Path
 from shlex import quote
 
 from novags.testbed.budget.choice import Option, refined, united
+from novags.testbed.console.provenance import hardware
 from novags.testbed.ledger.contents import jsonable
-from novags.testbed.machine.provenance import hardware
 from novags.testbed.pareto.curve import CURVES, Point, read_curves
 from novags.testbed.pareto.knob import spelled
 from sensor_model.files.reading import brief, reading

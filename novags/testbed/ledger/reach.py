@@ -21,8 +21,7 @@ PACKAGES = ("novags", "simscenes", "sensor_model")
 # a configuration holds every value of its camera.
 OUTSIDE = (
     *(f"novags.{name}" for name in ("cli", "commands", "failure", "options", "process", "testing")),
-    *(f"novags.testbed.{name}" for name in ("console", "csv_text", "flight", "help", "ledger", "machine", "report",
-                                            "results", "time_left", "viewer")),
+    *(f"novags.testbed.{name}" for name in ("console", "flight", "ledger", "report", "viewer")),
     "sensor_model.files.lock",
     "sensor_model.presets",
 )  # fmt: skip

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from statistics import median
 
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.ledger.dry import NOT_DONE
 from novags.testbed.pareto.knob import Knob, Setting, Subject
 from novags.testbed.pareto.samples import Samples

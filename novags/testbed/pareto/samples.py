@@ -5,9 +5,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from novags.testbed.console.provenance import environment
 from novags.testbed.ledger.code import version
 from novags.testbed.ledger.contents import digest, jsonable, read_json, write_json
-from novags.testbed.machine.provenance import environment
 from novags.testbed.pareto.knob import Knob, Measured, Setting, Subject, spelled
 from sensor_model.files.reading import brief
 

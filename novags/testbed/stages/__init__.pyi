@@ -4,4 +4,4 @@ from .importing import import_photographs as import_photographs
 from .posing import poses as poses
 from .reconstructing import reconstruct as reconstruct
 from .rendering import render as render
-from .scoring import score as score
+from .scores.scoring import score as score

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.ledger.code import code_of
 from novags.testbed.ledger.contents import read_json
 from novags.testbed.ledger.same import remember, sharing

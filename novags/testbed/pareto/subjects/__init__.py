@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 
 from novags.methods import METHODS, VARIANTS
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.pareto.knob import Subject
 from novags.testbed.pareto.subjects.methods import reconstruction, with_knobs
 from novags.testbed.pareto.subjects.render import render

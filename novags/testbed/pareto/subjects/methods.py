@@ -5,10 +5,10 @@ from pathlib import Path
 from typing import Any
 
 from novags.methods import METHODS, chosen
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.pareto.knob import Subject
 from novags.testbed.pareto.reconstruction import SCENE, Bench
-from novags.testbed.presets import EXPERIMENTS, adapted
+from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
 
 PRESET = EXPERIMENTS["demo"]
 # As many points a pixel and denoiser steps as in the preset, a third of its iterations: a setting in half a minute.

@@ -3,7 +3,7 @@
 from functools import cache
 from pathlib import Path
 
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.pareto.knob import Knob, Measured, Setting, Subject
 
 SCENE, SIZE, SMALL = "tabletop", 32, 16

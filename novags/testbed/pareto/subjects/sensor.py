@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.pareto.clock import fastest
 from novags.testbed.pareto.knob import Knob, Measured, Setting, Subject
 from sensor_model.capture import expose

@@ -6,7 +6,7 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.pareto.knob import Knob, Measured, Setting, Subject
 from sensor_model.files.atomic import atomic
 from sensor_model.files.own import cache_folder

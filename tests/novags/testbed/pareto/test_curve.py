@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.pareto import page
 from novags.testbed.pareto.curve import curves, read_curves, write_curves
 from novags.testbed.pareto.figure import figure

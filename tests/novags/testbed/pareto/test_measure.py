@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from novags.testbed.console import Console, Update
+from novags.testbed.console.terminal import Console, Update
 from novags.testbed.ledger.dry import dry_run
 from novags.testbed.pareto import samples as samples_module
 from novags.testbed.pareto.curve import curves

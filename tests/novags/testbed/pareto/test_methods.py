@@ -11,7 +11,7 @@ from novags.methods.knob import MethodKnob
 from novags.methods.variant import parse_variant
 from novags.settings import flattened
 from novags.testbed.budget.known import SHIPPED
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.pareto import reconstruction
 from novags.testbed.pareto.curve import curves, read_curves
 from novags.testbed.pareto.knob import Knob, Measured, Setting, Subject
@@ -19,7 +19,7 @@ from novags.testbed.pareto.measure import measure
 from novags.testbed.pareto.reconstruction import Bench, parts_of
 from novags.testbed.pareto.samples import Samples
 from novags.testbed.pareto.subjects import chosen, subjects
-from novags.testbed.presets import EXPERIMENTS, adapted
+from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
 
 QUIET = Console(quiet=True)
 SHAPE = MethodKnob(

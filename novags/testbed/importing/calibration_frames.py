@@ -1,0 +1,190 @@
+"""A camera from a folder of its dark and flat frames.
+
+FOLDER/dark/NAME/*   each NAME is one stack: two or more dark frames, all of one exposure time
+FOLDER/flat/NAME/*   the same in front of a uniform light
+FOLDER/frames.toml   optional: what the files themselves do not state
+
+Frames are camera raw files, 16-bit PNG or TIFF of one channel, or .npy of [h,w] or [n,h,w]. Exposure times come from
+frames.toml, else from EXIF. Every line of frames.toml is optional, except `bits` if no raw file states it:
+
+bits = 12                    # of the ADC
+cfa = "RGGB"                 # colour filter array; raw files state it, other files count as monochrome
+[camera]                     # what frames cannot show, or what is known better: fields of a camera file
+eta = 0.6
+[stacks."flat/middle"]
+time = 0.01                  # s
+photons = 812.0              # mean number per pixel, if it was measured: gives the quantum efficiency
+
+sensor_model sees the frames only as arrays; only this module knows the layout of the folder.
+"""
+
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from novags.testbed.folders.photographs.raw_files import is_raw, read_mosaic
+from novags.testbed.importing.exposures import stated_of
+from sensor_model.characterisation import Characterisation, Stack, characterise
+from sensor_model.files.camera_file import sensor_from_dict
+from sensor_model.files.door import opened
+from sensor_model.files.reading import reading
+from sensor_model.files.records import check_shape
+from sensor_model.files.toml_file import read_toml
+from sensor_model.mosaicking import channel_index
+from sensor_model.params import Sensor
+from simscenes.sets.pictures.image_file import read_image
+
+IMAGES = (".png", ".tif", ".tiff")
+NOTES = {"bits?": int, "cfa?": str, "camera?": dict, "stacks?": {"*": {"time?": float, "photons?": float}}}
+
+
+@dataclass(frozen=True)
+class Frames:
+    """Everything a folder holds."""
+
+    dark: list[Stack]
+    flat: list[Stack]
+    cfa: str  # "none": monochrome
+    bits: int
+    camera: dict[str, Any]  # fields that override what is measured
+
+
+@dataclass(frozen=True)
+class _File:
+    dn: np.ndarray  # [n,h,w]
+    time: float | None = None
+    cfa: str | None = None
+    bits: int | None = None
+
+
+def characterise_folder(folder: Path, *, window: int = 1024) -> tuple[Sensor, Characterisation]:
+    """Estimate a camera from its frames; for a mosaic, the green pixels give everything except the colours.
+
+    Args:
+        folder: As above.
+        window: Side of the central square of the sensor that is used, in pixels: bounds memory.
+
+    Raises:
+        ValueError: If the folder is not laid out as above, or does not hold enough.
+    """
+    frames = read_frames(folder, window)
+    if frames.cfa == "none":
+        found, colours = characterise(frames.dark, frames.flat), {}
+    else:
+        place = frames.cfa.index("G")
+        found = characterise(_plane(frames.dark, place), _plane(frames.flat, place))
+        colours = _colours(frames)
+    for name in ("eta", "mu_e_sat"):
+        if getattr(found, name) is None and name not in frames.camera:
+            why = "give the photons of every flat stack" if name == "eta" else "add a flat stack beyond saturation"
+            raise ValueError(f"{folder} does not determine {name}: {why}, or {name} under [camera] in frames.toml")
+    known = {name: frames.camera.get(name, getattr(found, name)) for name in ("eta", "mu_e_sat")}
+    with reading(folder / "frames.toml", "correct it"):
+        measured = asdict(found.sensor(bits=frames.bits, **known))
+        return sensor_from_dict(measured | {"cfa": frames.cfa} | colours | frames.camera), found
+
+
+def read_frames(folder: Path, window: int = 1024) -> Frames:
+    """Read the folder; every frame is cropped to the central `window` x `window` pixels.
+
+    Raises:
+        ValueError: If it is not laid out as above, or a file cannot be read.
+    """
+    notes = _notes(folder)
+    files: dict[str, list[_File]] = {}
+    for kind in ("dark", "flat"):
+        folders = sorted(p for p in (folder / kind).iterdir() if p.is_dir()) if (folder / kind).is_dir() else []
+        if not folders:
+            raise ValueError(f"{folder} needs a folder {kind}/ with a folder for each stack of frames in it")
+        for place in folders:
+            shown = sorted(place.glob("[!.]*"))  # without hidden files, which archives made on a Mac have
+            found = [p for p in shown if is_raw(p) or p.suffix.lower() in (*IMAGES, ".npy")]
+            files[f"{kind}/{place.name}"] = [_cut(_read(p), window) for p in found]
+    if unknown := sorted(set(notes["stacks"]) - set(files)):
+        raise ValueError(f"{folder / 'frames.toml'} names stacks that are not there: {', '.join(unknown)}")
+    everything = [file for stack in files.values() for file in stack]
+    stacks = {name: _stack(folder / name, stack, notes["stacks"].get(name, {})) for name, stack in files.items()}
+    return Frames(
+        dark=[stack for name, stack in stacks.items() if name.startswith("dark/")],
+        flat=[stack for name, stack in stacks.items() if name.startswith("flat/")],
+        cfa=_agreed("cfa", notes["cfa"], [f.cfa for f in everything], folder, "none"),
+        bits=_agreed("bits", notes["bits"], [f.bits for f in everything], folder, None),
+        camera=notes["camera"],
+    )
+
+
+def _notes(folder: Path) -> dict[str, Any]:
+    path = folder / "frames.toml"
+    notes: dict[str, Any] = {"bits": None, "cfa": None, "camera": {}, "stacks": {}}
+    given = read_toml(path) if path.exists() else {}
+    if unknown := sorted(set(given) - set(notes)):
+        raise ValueError(f"{path}: unknown {', '.join(unknown)}; available: {', '.join(notes)}")
+    check_shape(given, NOTES, f"{path}")
+    return notes | given
+
+
+def _read(path: Path) -> _File:
+    if is_raw(path):
+        raw = read_mosaic(path)
+        return _File(raw.dn[None], raw.time, raw.cfa or "none", raw.bits)
+    time = None
+    if path.suffix.lower() == ".npy":
+        with reading(path, "replace or remove it"):
+            with opened(path) as file:
+                dn = np.load(file, allow_pickle=False)
+        dn = dn[None] if dn.ndim == 2 else dn
+    else:
+        dn, time = read_image(path, cv2.IMREAD_UNCHANGED)[None], stated_of(path)[0]
+    if dn.ndim != 3 or dn.dtype.kind not in "ui":
+        raise ValueError(f"{path} must hold integer codes of one channel, got {dn.dtype} of shape {dn.shape}")
+    return _File(dn, time)
+
+
+def _cut(file: _File, window: int) -> _File:
+    """The central part, from an even row and column on, so that the colour filter array keeps its phase."""
+    y, x = (max(0, (side - window) // 2) // 2 * 2 for side in file.dn.shape[1:])
+    return replace(file, dn=np.ascontiguousarray(file.dn[:, y : y + window, x : x + window]))
+
+
+def _stack(path: Path, files: list[_File], note: dict[str, float]) -> Stack:
+    sizes = {file.dn.shape[1:] for file in files}
+    if len(sizes) != 1:
+        raise ValueError(f"{path} must hold frames of one size, got {sorted(sizes) or 'no frames'}")
+    if unknown := sorted(set(note) - {"time", "photons"}):
+        raise ValueError(f"frames.toml: stack {path.name} has unknown {', '.join(unknown)}; available: time, photons")
+    time = _agreed("exposure time", note.get("time"), [f.time for f in files], path, None)
+    return Stack(np.concatenate([f.dn for f in files]), float(time), note.get("photons"))
+
+
+def _agreed(what: str, given: Any, found: list[Any], where: Path, default: Any) -> Any:
+    """What frames.toml gives, else what all files state, else the default."""
+    told = {value for value in found if value is not None}
+    if given is None and len(told) > 1:
+        raise ValueError(f"the files in {where} differ in {what}: {', '.join(map(str, sorted(told)))}")
+    value = given if given is not None else next(iter(told), default)
+    if value is None:
+        raise ValueError(f"the files in {where} do not state their {what}: give it in frames.toml")
+    return value
+
+
+def _plane(stacks: list[Stack], place: int) -> list[Stack]:
+    """One of the four kinds of pixels of a mosaic."""
+    return [replace(s, frames=s.frames[:, place // 2 :: 2, place % 2 :: 2]) for s in stacks]
+
+
+def _colours(frames: Frames) -> dict[str, Any]:
+    """Relative response of the filters to the flat light, and the error of each colour's black level."""
+    kinds = channel_index((2, 2), frames.cfa).ravel()  # type: ignore[arg-type]  # there is a filter array here
+    black, bright = (np.array([[s.frames.mean() for s in _plane(stacks, i)] for i in range(4)])
+                     for stacks in (frames.dark, frames.flat))  # fmt: skip
+    rise, level = np.polyfit([s.time for s in frames.dark], black.T, 1)
+    signal = bright - level[:, None] - rise[:, None] * [s.time for s in frames.flat]
+    signal = signal[:, signal.max(0) < 0.7 * signal.max()].sum(1)  # none of the colours is near saturation there
+    response, bias = (np.array([values[kinds == c].mean() for c in range(3)]) for values in (signal, level))
+    return {
+        "rgb_response": (response / response[1]).tolist(),
+        "rgb_bias": (bias - bias[1]).tolist(),
+    }

@@ -1,0 +1,132 @@
+"""A method that is a program: a capture in, pictures of the held-out views out, and a run folder made of these."""
+
+import os
+import shlex
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from novags.methods.problem import encode
+from novags.testbed.console.terminal import Console
+from novags.testbed.folders import run as run_folder
+from novags.testbed.folders.capture import RECORD, Capture, open_capture
+from novags.testbed.importing.pictures import Picture, find_renders, read_picture
+from novags.testbed.importing.programs import Spent, run_program
+from novags.testbed.ledger.stage import run_stage
+from novags.testbed.metrics.picture import Image
+from novags.testbed.stages.configs.command import CommandConfig
+from novags.testbed.stages.paths import keep_apart
+from sensor_model.files.atomic import remove, write_text
+from sensor_model.files.door import admitted, resolved
+from simscenes.sets.pictures.exr import write_exr
+from simscenes.sets.pictures.png import write_png
+from simscenes.sets.writers.camera_files import CAMERA_FILES
+
+SHOWN = (RECORD, "images", "images16", "raw", *CAMERA_FILES)  # of a capture: all but the truth and lit twins
+WORK = ".work"  # of a run under way: hidden, so that it is part of no digest
+
+
+def run_command(
+    capture_path: Path, out: Path, config: CommandConfig, console: Console, *, overwrite: bool = False
+) -> dict[str, Any]:
+    """Let a program reconstruct the capture at `capture_path`; returns run.json.
+
+    Raises:
+        ValueError: If the capture cannot be read, the program fails or takes too long, its pictures are missing or not
+            those of the test views, or `out` holds other things.
+        BlockingIOError: If another process is writing to `out`.
+    """
+    keep_apart(out, capture_path)
+    capture = open_capture(capture_path)
+    source = capture.source(console)
+    return run_stage(
+        f"command {config.name}",
+        out,
+        run_folder.RECORD,
+        code=config.code,
+        opened={"capture": capture.content, "set": source.content},
+        inputs=lambda: {"capture": capture.digest(), "set": source.digest()},
+        config=config.resolved(),
+        owns=(*run_folder.OWNS, WORK),
+        prepare=lambda: None,
+        work=lambda _: _reconstruct(capture, out, config, console),
+        console=console,
+        overwrite=overwrite,
+    )
+
+
+def _reconstruct(capture: Capture, out: Path, config: CommandConfig, console: Console) -> dict[str, Any]:
+    """Run the program and write its pictures; returns the body of run.json."""
+    work = out / WORK
+    remove(work)  # what a killed attempt has left
+    try:
+        shown, made = work / "capture", work / "out"
+        show(capture, shown)
+        made.mkdir()
+        words = config.words(capture=str(resolved(shown)), out=str(resolved(made)), seed=str(config.seed))
+        console.note(f"{config.name}: {shlex.join(words)}")
+        with console.progress(f"command {config.name}") as progress:
+            spent = run_program(words, config.folder, timeout=config.timeout,
+                                tick=lambda seconds: progress(0, 0, f"{seconds:.0f} s"))  # fmt: skip
+        with_depth = _keep_pictures(capture, made, out, config.space)
+    finally:
+        shutil.rmtree(work, ignore_errors=True)
+    return _body(capture, out, config, spent, with_depth)
+
+
+def _keep_pictures(capture: Capture, made: Path, out: Path, space: str) -> bool:
+    """Write the program's pictures, of this space, as those of a run; returns whether they have depth."""
+    rig, cameras = capture.cameras.rig, capture.cameras
+    names = [cameras.names[i] for i in cameras.test_indices]
+    renders = find_renders(made, names)
+    pictures = {name: read_picture(renders.files[name], rig.width, rig.height) for name in names}
+    for name, picture in pictures.items():
+        values = picture.linear if space == "linear" else picture.values
+        write_png(out / "renders" / f"{name}.png", encode(values) if space == "linear" else values)
+        write_exr(out / "exr" / f"{name}.exr", _channels(values, picture))
+    return all(picture.depth is not None for picture in pictures.values())
+
+
+def _channels(values: Image, picture: Picture) -> dict[str, np.ndarray]:
+    found = {c: np.ascontiguousarray(values[..., k]) for k, c in enumerate("RGB")}
+    if picture.depth is None or picture.alpha is None:
+        return found
+    return {**found, "Z": np.maximum(picture.depth, 0), "alpha": picture.alpha}
+
+
+def _body(capture: Capture, out: Path, config: CommandConfig, spent: Spent, with_depth: bool) -> dict[str, Any]:
+    write_text(out / run_folder.EVENTS, "")
+    return {
+        "name": config.name,
+        "method": config.name,
+        "title": config.title or f"the program {config.command}",
+        "variant": {},
+        "capture": os.path.relpath(resolved(capture.path), resolved(out)),
+        "space": config.space,
+        "enhancement": None,
+        "config": {"command": config.command, "timeout": config.timeout, "space": config.space},
+        "seed": config.seed,
+        "depth": with_depth,
+        "seconds": {"command": spent.seconds},
+        "peak_bytes": spent.peak_bytes,
+    }
+
+
+def show(capture: Capture, folder: Path) -> None:
+    """Lay out what a method may see of a capture: copies of its files, so that a program can change none of them.
+
+    Through links it could, and other methods would then see what it has written; they would lead it to the truth, too.
+
+    The truth is not among it. Dark pictures of the test views are, as every data set of the field has them, and
+    test_list.txt names them.
+    """
+    folder.mkdir(parents=True)
+    for name in SHOWN:
+        path = capture.path / name
+        files = [path] if path.is_file() else sorted(part for part in path.rglob("*") if part.is_file())
+        for file in files:
+            copy = folder / file.relative_to(capture.path)
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(admitted(file), copy)

@@ -1,0 +1,318 @@
+"""Scores of one run against the truth: held-out views in 3D, training pictures in 2D, depth, cameras, consistency."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from novags.methods import METHODS
+from novags.methods.enhancers import ENHANCERS
+from novags.methods.problem import encode
+from novags.testbed.console.terminal import Console, Update
+from novags.testbed.folders.capture import Capture
+from novags.testbed.folders.exposures import Exposures, as_compared, exposures_of
+from novags.testbed.folders.references import LINEAR, missing_references, references, true_depth
+from novags.testbed.folders.run import METRICS, Run, open_run
+from novags.testbed.folders.set import Source
+from novags.testbed.ledger.code import Code, code_of
+from novags.testbed.ledger.stage import run_stage
+from novags.testbed.metrics.consistency import ConsistencyScores, consistency_scores
+from novags.testbed.metrics.geometry import geometry_scores
+from novags.testbed.metrics.images import aligned_psnr, gaussian_blur, image_scores, mean_scores, psnr
+from novags.testbed.metrics.linear import is_black, linear_psnr
+from novags.testbed.metrics.perceptual import PerceptualDistance
+from novags.testbed.metrics.picture import Image
+from novags.testbed.stages.scores.noise import noise_scores
+from sensor_model.files.lock import locked
+from simscenes.sets.geometry.correspondence import flow
+from simscenes.sets.pictures.png import read_png
+
+BLUR_SIGMA = 1.2  # px; the fixed bar a denoiser has to clear
+BLUR_GRID = tuple(float(s) for s in np.geomspace(0.4, 8.0, 20))  # px; the harder bar: the best of these for the images
+
+
+def score(run_path: Path, console: Console) -> dict[str, Any]:
+    """Score the run at `run_path` against the truth of its capture; returns its metrics.json.
+
+    Raises:
+        ValueError: If the run, its capture or its set cannot be read, or they have changed since the run was made.
+        BlockingIOError: If another process is writing to the run.
+    """
+    with locked(run_path, make=False):  # before anything is read: a new reconstruction may be under way
+        return _score(run_path, console)
+
+
+def _score(run_path: Path, console: Console) -> dict[str, Any]:
+    run = open_run(run_path)
+    captured, lit = run.inputs(console)
+    missing = PerceptualDistance.missing(captured.cameras.rig.width, captured.cameras.rig.height)
+
+    def inputs() -> dict[str, str]:
+        return {"run": run.digest(), "capture": captured.digest(), "set": lit.digest()}
+
+    def work(_: None) -> dict[str, Any]:
+        lpips = PerceptualDistance() if missing is None else None
+        with console.progress(f"score {run.name}") as progress:
+            scores = score_test_views(run, captured, lit, lpips, progress)
+        method = {
+            **scores,
+            "training_2d": score_training_images(run, captured, lit),
+            "noise": noise_scores(run, captured, lit),
+            "cameras": run.record.get("cameras"),
+            "seconds": stage_seconds(run, captured, lit),
+            "peak_bytes": run.peak_bytes,
+        }
+        unavailable = {} if missing is None else {"lpips": missing}
+        if scores["geometry"] is None:
+            unavailable["geometry"] = (
+                "the true depth is not known: photographs, or a set scaled down for the capture"
+                if run.has_depth
+                else "the program gives no depth: the pictures of some test views have no channel Z"
+            )
+        unavailable |= missing_references(run, captured, lit)
+        unavailable |= shows_nothing(scores["views"])
+        return {"methods": {run.name: method}, "recovered": {}, "unavailable": unavailable}
+
+    return run_stage(
+        "score", run_path, METRICS, code=code_of_scores(run, lit), inputs=inputs,
+        opened={"run": run.digest(), "capture": captured.content, "set": lit.content},
+        config={"lpips": missing is None}, owns=(METRICS,),
+        prepare=lambda: None, work=work, console=console, overwrite=True,  # scores describe what is there now
+    )  # fmt: skip
+
+
+def code_of_scores(run: Run, lit: Source) -> Code:
+    """What scores a run: the stage, the enhancement that its references go through, and what reads its set."""
+    enhancer = None if run.enhancement is None else ENHANCERS.module_of(run.enhancement["enhancer"])
+    return code_of(__name__, enhancer, *lit.modules)
+
+
+def score_test_views(
+    run: Run, capture: Capture, lit: Source, lpips: PerceptualDistance | None, progress: Update
+) -> dict[str, Any]:
+    """Scores of every held-out view against each of its references, and their means.
+
+    Returns:
+        `mean` and `views` hold the image scores by reference (None in `mean` for one that is not known); `geometry`
+        those of depth (None if unknown), with the view consistency.
+    """
+    views: dict[str, Any] = {}
+    depths = []
+    indices = capture.cameras.test_indices
+    exposures = exposures_of(run, capture, lit) if run.space == "linear" else None
+    gain = None if exposures is None else exposures.dark
+    for done, i in enumerate(indices):
+        name = capture.names[i]
+        rendered = run.rendering(name)
+        views[name] = {
+            kind: {
+                "linear_psnr": None if is_black(reference) or gain is None else linear_psnr(rendered, reference, gain)
+            }
+            if kind in LINEAR
+            else image_scores(as_compared(rendered, run, capture, kind, exposures), reference, lpips)
+            for kind, reference in references(run, capture, lit, i).items()
+        }
+        if run.has_depth and (truth := true_depth(lit, i)) is not None:
+            depth, alpha = run.depth(name)
+            depths.append(geometry_scores(depth * run.depth_scale, alpha, truth))
+        progress(done + 1, len(indices), f"view {name}")
+    missing: dict[str, Any] = dict.fromkeys(missing_references(run, capture, lit))
+    kinds = next(iter(views.values())).keys()
+    consistency = view_consistency(run, capture, lit, exposures) if depths else None
+    return {
+        "mean": missing | {kind: mean_scores([scores[kind] for scores in views.values()]) for kind in kinds},
+        "views": views,
+        "geometry": {**mean_scores(depths), "consistency": consistency} if depths else None,
+    }
+
+
+def shows_nothing(views: dict[str, Any]) -> dict[str, str]:
+    """Why scores are missing that need a reference with something to see, by the name of the score."""
+    found = {}
+    for kind in next(iter(views.values())):
+        number = "linear_psnr" if kind in LINEAR else "aligned_psnr"
+        blank = [name for name, scores in views.items() if scores[kind][number] is None]
+        if blank:
+            lost = "linear_psnr" if kind in LINEAR else "aligned scores"
+            what = lost if kind == "linear" else f"{lost} against {kind}"
+            shows = "black" if kind in LINEAR else "one colour to within 1/255 in every channel"
+            found[what] = (
+                f"the reference is {shows} in {len(blank)} of {len(views)} views ({blank[0]}"
+                f"{', ...' if len(blank) > 1 else ''}), so that a blank picture scores like the truth: "
+                "use more light (--electrons)"
+            )
+    return found
+
+
+def view_consistency(
+    run: Run, capture: Capture, lit: Source, exposures: Exposures | None
+) -> dict[str, float | None]:  # fmt: skip
+    """Mean colour change along true correspondences from each held-out view to the view after it.
+
+    `exposures`: of a run in linear light. All scores are None for a run whose training views were not rendered: the
+    view after is one of them.
+    """
+    if not run.shows_training_views:
+        return dict.fromkeys(ConsistencyScores.__annotations__)
+    found: list[Any] = []
+    for i in capture.cameras.test_indices:
+        j = i + 1 if i + 1 < len(capture.names) else i - 1
+        moved = flow(lit.views, i, j)
+        (here, true_here), (there, true_there) = (_in_code(run, capture, lit, k, exposures) for k in (i, j))
+        found.append(consistency_scores((here, there), (true_here, true_there), moved.displacement, moved.visible))
+    return dict(mean_scores(found))
+
+
+def _in_code(run: Run, capture: Capture, lit: Source, i: int, exposures: Exposures | None) -> tuple[Image, Image]:
+    """View `i` as rendered and its first reference, both as pictures of one exposure."""
+    kind, reference = next(iter(references(run, capture, lit, i).items()))
+    rendered = run.rendering(capture.names[i])
+    if kind not in LINEAR:
+        return as_compared(rendered, run, capture, kind, exposures), reference
+    gain = 1.0 if exposures is None or exposures.dark is None else exposures.dark
+    return encode(gain * rendered), encode(reference)
+
+
+def score_training_images(run: Run, capture: Capture, lit: Source) -> dict[str, Any] | None:
+    """2D scores of the training pictures against the enhanced noise-free exposure, beside Gaussian blurs.
+
+    Returns:
+        `enhanced`, `denoised` (only if the method denoises), `blur` (sigma 1.2 px) and `best_blur` (the sigma of
+        `BLUR_GRID` that suits these images best), each with mean `psnr` and `aligned_psnr`; blurs also with `sigma`.
+        Where no reference has contrast, `aligned_psnr` is None and `best_blur` is left out. None for a method that
+        enhances no pictures, and where the noise-free exposure is not known.
+    """
+    if run.enhancement is None or not (run.path / "enhanced").is_dir() or not capture.holds("truth"):
+        return None
+    enhanced, denoised, truth = [], [], []
+    for i in capture.cameras.train_indices:
+        name = capture.names[i]
+        if not (run.path / "enhanced" / f"{name}.png").exists():
+            continue  # a view without a camera
+        enhanced.append(read_png(run.path / "enhanced" / f"{name}.png"))
+        if (run.path / "denoised").is_dir():
+            denoised.append(read_png(run.path / "denoised" / f"{name}.png"))
+        truth.append(references(run, capture, lit, i)["enhanced"])
+    scores = {"enhanced": _mean_psnr(enhanced, truth)}
+    if denoised:
+        scores["denoised"] = _mean_psnr(denoised, truth)
+    blurs = {sigma: _blur_scores(enhanced, truth, sigma) for sigma in (BLUR_SIGMA, *BLUR_GRID)}
+    if scores["enhanced"]["aligned_psnr"] is None:
+        return {**scores, "blur": blurs[BLUR_SIGMA]}
+    best = max(blurs, key=lambda sigma: blurs[sigma]["aligned_psnr"])
+    return {**scores, "blur": blurs[BLUR_SIGMA], "best_blur": blurs[best]}
+
+
+def _mean_psnr(images: list[Image], references: list[Image]) -> dict[str, Any]:
+    pairs = list(zip(images, references, strict=True))
+    return mean_scores([{"psnr": psnr(*pair), "aligned_psnr": aligned_psnr(*pair)} for pair in pairs])
+
+
+def _blur_scores(images: list[Image], references: list[Image], sigma: float) -> dict[str, Any]:
+    return {**_mean_psnr([gaussian_blur(image, sigma) for image in images], references), "sigma": sigma}
+
+
+def stage_seconds(run: Run, captured: Capture, lit: Source) -> dict[str, float]:
+    """Seconds of every stage that led to the run, and of the parts of its reconstruction."""
+    made = lit.views.meta.get("stage")  # a render, or the poses of photographs
+    seconds = {} if made is None else {str(made.get("name", "render")): float(made["seconds"])}
+    seconds["import" if captured.imported else "capture"] = float(captured.record.stage["seconds"])
+    seconds["reconstruct"] = float(run.record["stage"]["seconds"])
+    return {**seconds, **{f"reconstruct/{part}": float(s) for part, s in run.record["seconds"].items()}}
+
+
+def merge(metrics: dict[str, dict[str, Any]], methods: dict[str, str]) -> dict[str, Any]:
+    """One metrics.json for an experiment from those of its runs, with the recovered fractions.
+
+    Args:
+        metrics: The metrics.json of each run, by its name.
+        methods: The method of each run, by its name.
+
+    Returns:
+        Methods and what was unavailable of all runs; `recovered` = (method - floor) / (ceiling - floor) in aligned PSNR
+        against `enhanced`, `recovered_lit` the same in tone-aligned PSNR against `lit`, for every run but the bounds.
+    """
+    found = {name: run["methods"][name] for name, run in metrics.items()}
+    merged: dict[str, Any] = {"methods": found}
+    unavailable = {what: why for run in metrics.values() for what, why in run["unavailable"].items()}
+    for key, kind, number in (
+        ("recovered", "enhanced", "aligned_psnr"),
+        ("recovered_lit", "lit", "tone_aligned_psnr"),
+    ):
+        merged[key], why = recovered_fractions(found, methods, kind, number)
+        if why is not None:
+            unavailable[key] = why
+    return {**merged, "unavailable": unavailable}
+
+
+def recovered_fractions(
+    scores: dict[str, Any], methods: dict[str, str], kind: str = "enhanced", number: str = "aligned_psnr"
+) -> tuple[dict[str, float], str | None]:
+    """The share of what noise costs that each run wins back, and the reason where it is unknown.
+
+    Args:
+        scores: The scores of each run, by its name, which may follow a folder and a slash.
+        methods: The method of each run, by its name.
+        kind: The reference.
+        number: The score.
+    """
+    for needed, what in ((kind, f"the reference {kind}"), ("enhanced", "the noise-free exposure, the ceiling's,")):
+        if all(method["mean"].get(needed, {}) is None for method in scores.values()):
+            return {}, f"{what} is not known for these photographs, so what was recovered cannot be measured"
+    ends = bounds_of(methods)
+    if len(ends) < 2:
+        wanted = [name for name, method in METHODS.items() if method.bound and method.bound not in ends]
+        listed = " and ".join(wanted)
+        return {}, f"the recovered fraction needs the method(s) {listed}: reconstruct and score them too"
+    value = {
+        name: method["mean"][kind][number]
+        for name, method in scores.items()
+        if (method["mean"].get(kind) or {}).get(number) is not None
+    }
+    if missing := [name for names in ends.values() for name in names if name not in value]:
+        if all(number in (scores[name]["mean"].get(kind) or {}) for name in missing):
+            return {}, f"{' and '.join(missing)} have no {number} against {kind}: nothing to measure recovery by"
+        return {}, f"{' and '.join(missing)} were scored by an earlier version: score them again"
+    floor, ceiling = (float(np.mean([value[name] for name in ends[end]])) for end in ("floor", "ceiling"))
+    span = ceiling - floor
+    if span < 0.1:  # dB; a ratio of such small differences would be mostly scatter
+        return {}, (
+            f"{ends['ceiling'][0]} is only {span:+.2f} dB from {ends['floor'][0]}: noise costs too little here to "
+            "speak of a fraction"
+        )
+    bounds = {name for names in ends.values() for name in names}
+    return {name: (value[name] - floor) / span for name in value if name not in bounds}, None
+
+
+def bounds_of(methods: dict[str, str]) -> dict[str, list[str]]:
+    """The runs at each end of the scale, "floor" and "ceiling": methods as they are, not variants of them.
+
+    Args:
+        methods: The method of each run, by its name, which may follow a folder and a slash.
+    """
+    found: dict[str, list[str]] = {}
+    for name, method in methods.items():
+        row = METHODS.get(method)
+        if row is not None and row.bound is not None and name.rpartition("/")[2] == method:
+            found.setdefault(row.bound, []).append(name)
+    return found
+
+
+def deltas(scores: dict[str, Any], methods: dict[str, str], kind: str, number: str) -> tuple[dict[str, float], str]:
+    """How far each run is above the floor (without one: above the first run), and the name of that baseline.
+
+    Args:
+        scores: The scores of each run, by its name.
+        methods: The method of each run, by its name.
+        kind: The reference.
+        number: The score.
+    """
+    value = {
+        name: found for name, m in scores.items() if (found := (m["mean"].get(kind) or {}).get(number)) is not None
+    }
+    base = [name for name in bounds_of(methods).get("floor", []) if name in value] or list(value)[:1]
+    if not base:
+        return {}, ""
+    level = float(np.mean([value[name] for name in base]))
+    what = base[0] if len(base) == 1 else f"the mean of {len(base)} runs of {methods[base[0]]}"
+    return {name: found - level for name, found in value.items() if [name] != base}, what

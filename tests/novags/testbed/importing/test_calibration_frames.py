@@ -1,0 +1,145 @@
+"""Claims about cameras measured from folders of frames: the simulated camera that took them is found again."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from novags.testbed.importing.calibration_frames import characterise_folder, read_frames
+from sensor_model import PRESETS, Exposure, Sensor, expose, mosaic, read_sensor, write_dng
+
+MONO = Sensor(
+    gain=0.9, eta=0.55, mu_e_sat=4000.0, black_level=60.4, bits=12, sigma_d=3.0, dsnu=1.5, prnu=0.01,
+    dark_current=20.0, nonlinearity=0.02, cfa=None, serial=5,
+)  # fmt: skip
+BAYER = replace(PRESETS["imx900-hcg"], cfa="GBRG", dark_current=30.0, rgb_response=(0.5, 1.0, 0.7), rgb_bias=(3, 0, -2))
+TIMES = np.array([0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 1.2])  # of the time to full well
+
+
+def write_frames(folder: Path, sensor: Sensor, save, shape=(160, 200), middle: int = 12) -> dict[str, tuple]:
+    """Dark and flat stacks; returns the time and photons of each."""
+    taken = {}
+    rate = sensor.mu_e_sat / sensor.eta  # photons per second: full well at 1 s
+    for kind in ("dark", "flat"):
+        for i, time in enumerate(TIMES):
+            name, photons = f"{kind}/{i}", rate * time * (kind == "flat")
+            colour = np.broadcast_to(photons * np.asarray(sensor.rgb_response), (*shape, 3))
+            light = mosaic(colour, sensor.cfa) if sensor.cfa else colour[..., 0]
+            (folder / name).mkdir(parents=True)
+            exposure = Exposure(time=time)
+            for n in range(middle if i == 3 else 2):
+                frame = expose(light, sensor, exposure, seed=100 * i + (kind == "flat"), view=0, frame=n)
+                save(folder / name / f"{n:02d}", frame.dn, sensor, exposure)
+            taken[name] = (time, photons)
+    return taken
+
+
+def as_dng(path: Path, dn: np.ndarray, sensor: Sensor, exposure: Exposure) -> None:
+    write_dng(path.with_suffix(".dng"), dn, sensor, exposure)
+
+
+def as_png(path: Path, dn: np.ndarray, *_: object) -> None:
+    cv2.imwrite(str(path.with_suffix(".png")), dn)
+
+
+def as_npy(path: Path, dn: np.ndarray, *_: object) -> None:
+    np.save(path.with_suffix(".npy"), dn)
+
+
+def as_tiff_with_exif(path: Path, dn: np.ndarray, _: Sensor, exposure: Exposure) -> None:
+    from PIL import Image, TiffImagePlugin
+
+    tags = TiffImagePlugin.ImageFileDirectory_v2()
+    tags[34665] = {33434: TiffImagePlugin.IFDRational(round(exposure.time * 10_000), 10_000)}
+    Image.fromarray(dn).save(path.with_suffix(".tiff"), tiffinfo=tags)
+
+
+def write_notes(folder: Path, taken: dict[str, tuple], head: str, *, photons: bool = True, times: bool = True) -> None:
+    lines = [head]
+    for name, (time, light) in taken.items():
+        lines += [
+            f'[stacks."{name}"]',
+            *([f"time = {time}"] if times else []),
+            *([f"photons = {light}"] if photons else []),
+        ]
+    (folder / "frames.toml").write_text("\n".join(lines))
+
+
+def assert_found(found: Sensor, sensor: Sensor, **tolerances: float) -> None:
+    for field, tolerance in tolerances.items():
+        assert getattr(found, field) == pytest.approx(getattr(sensor, field), rel=tolerance), field
+    assert found.bits == sensor.bits
+    assert found.cfa == sensor.cfa
+
+
+@pytest.mark.parametrize("save", [as_png, as_npy, as_tiff_with_exif])
+def test_a_monochrome_camera_is_found_in_images_of_every_kind(save, tmp_path: Path) -> None:
+    taken = write_frames(tmp_path, MONO, save)
+    write_notes(tmp_path, taken, "bits = 12", times=save is not as_tiff_with_exif)
+    found, _ = characterise_folder(tmp_path)
+    assert_found(found, MONO, gain=0.015, eta=0.015, mu_e_sat=0.015, sigma_d=0.03, dark_current=0.05, dsnu=0.05)
+    assert_found(found, MONO, prnu=0.04)
+    assert found.black_level == pytest.approx(MONO.black_level, abs=0.2)
+    assert found.nonlinearity == pytest.approx(MONO.nonlinearity, abs=0.004)
+
+
+def test_a_colour_camera_is_found_in_raw_files_and_takes_pictures(tmp_path: Path, call, capsys) -> None:
+    """Rationale: the whole way of a user, from his raw files to `--sensor`. Exposure times, pattern and bits: EXIF."""
+    write_frames(tmp_path / "frames", BAYER, as_dng)
+    (tmp_path / "frames" / "frames.toml").write_text("bits = 12\n[camera]\neta = 0.8847\nserial = 7\n")
+    out = tmp_path / "new" / "camera.toml"
+    assert call("characterise", str(tmp_path / "frames"), "--out", str(out)) == 0
+    assert "gain 1.6" in capsys.readouterr().out
+    found = read_sensor(out)
+    assert_found(found, BAYER, gain=0.02, mu_e_sat=0.02, sigma_d=0.04, dark_current=0.05, dsnu=0.08, prnu=0.08)
+    np.testing.assert_allclose(found.rgb_response, BAYER.rgb_response, rtol=0.01)
+    np.testing.assert_allclose(found.rgb_bias, BAYER.rgb_bias, atol=0.2)
+    assert found.serial == 7
+    assert expose(np.full((8, 8), 20.0), found, Exposure(time=0.1), seed=0, view=0).dn.shape == (8, 8)
+
+
+def test_only_the_middle_is_read_and_keeps_its_pattern(tmp_path: Path) -> None:
+    write_frames(tmp_path, BAYER, as_dng, shape=(90, 102), middle=2)
+    (tmp_path / "frames.toml").write_text("bits = 12\n")
+    whole, part = read_frames(tmp_path), read_frames(tmp_path, 40)
+    assert part.cfa == "GBRG"
+    assert part.flat[0].frames.shape == (2, 40, 40)
+    np.testing.assert_array_equal(part.flat[4].frames, whole.flat[4].frames[:, 24:64, 30:70])
+    assert [s.time for s in part.dark] == pytest.approx(list(TIMES))
+
+
+@pytest.mark.parametrize(
+    ("notes", "message"),
+    [
+        ("TIMES bits", "do not state their bits"),
+        ("bits = 12", "do not state their exposure time"),
+        ("bits = 12\nlens = 3", "unknown lens"),
+        ("bits = ", "frames.toml"),
+        ('bits = 12\n[stacks."dark/9"]\ntime = 1.0', "stacks that are not there: dark/9"),
+        ("TIMES", "does not determine eta: give the photons"),
+        ("TIMES\n[camera]\neta = 60", r"frames.toml: eta must be in \(0, 1\]"),
+        ("TIMES\n[camera]\neta = 0.5\nsigma_read = 1", "got 'sigma_read'"),
+    ],
+)
+def test_what_a_folder_does_not_tell_is_asked_for(notes: str, message: str, tmp_path: Path) -> None:
+    taken = write_frames(tmp_path, MONO, as_npy, shape=(16, 16), middle=2)
+    if notes.startswith("TIMES"):
+        write_notes(tmp_path, taken, "" if notes == "TIMES bits" else "bits = 12" + notes[5:], photons=False)
+    else:
+        (tmp_path / "frames.toml").write_text(notes)
+    with pytest.raises(ValueError, match=message):
+        characterise_folder(tmp_path)
+
+
+def test_folders_that_are_laid_out_otherwise_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="needs a folder dark/"):
+        read_frames(tmp_path)
+    write_notes(tmp_path, write_frames(tmp_path, MONO, as_npy, shape=(16, 16), middle=2), "bits = 12")
+    np.save(tmp_path / "flat" / "0" / "zz.npy", np.zeros((2, 9, 16), np.uint16))
+    with pytest.raises(ValueError, match="frames of one size"):
+        read_frames(tmp_path)
+    np.save(tmp_path / "flat" / "0" / "zz.npy", np.zeros((16, 16), np.float32))
+    with pytest.raises(ValueError, match="integer codes of one channel"):
+        read_frames(tmp_path)
