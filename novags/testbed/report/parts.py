@@ -5,6 +5,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from markupsafe import Markup, escape
+
 from novags.testbed.console.terminal import Update
 from novags.testbed.report.look.album import Album
 from novags.testbed.report.material import Material
@@ -50,7 +52,7 @@ class Cell(NamedTuple):
     """A cell; without attributes it is the heading of its row."""
 
     text: Any
-    attributes: Attributes | None = None
+    attributes: Markup | None = None  # as they stand in the page, since there are tens of thousands of cells
 
 
 class TableRow(NamedTuple):
@@ -82,11 +84,17 @@ def heads(said: str) -> list[Column]:
     return found
 
 
+def text(value: Any, kind: str = "") -> Cell:
+    """A cell of a class."""
+    return Cell(value, Markup(' class="{}"').format(kind) if kind else Markup())
+
+
 def num(
     value: Any, shown: str | int = 2, *, rank: int | None = None, sd: float | None = None, best: bool = False
 ) -> Cell:
     """A number, with the text that shows it or with so many digits."""
-    text = shown if isinstance(shown, str) else number(value, shown)
-    kind = " best" if best else " muted" if value is None and text else ""
-    told = {"class": f"num{kind}", "data-value": "" if value is None else value, "data-rank": rank, "data-sd": sd}
-    return Cell(text, told)
+    said = shown if isinstance(shown, str) else number(value, shown)
+    kind = " best" if best else " muted" if value is None and said else ""
+    told = f' class="num{kind}" data-value="{"" if value is None else escape(value)}"'
+    told += "" if rank is None else f' data-rank="{rank}"'
+    return Cell(said, Markup(told if sd is None else f'{told} data-sd="{sd}"'))

@@ -13,6 +13,7 @@ from novags.testbed.report.parts import Cell, Column, Page, Table, TableRow, hea
 from novags.testbed.report.words import duration, size
 
 BAR = Markup('<span class="bar {}" style="width:{:.1f}%"></span><small class="muted">{}</small>')
+WIDE = Markup(' class="wide" data-value="{}"')
 
 
 def cost(material: Material, page: Page) -> dict[str, Any] | None:
@@ -23,12 +24,12 @@ def cost(material: Material, page: Page) -> dict[str, Any] | None:
     several = any(row["count"] > 1 for row in stages)
     for row in stages:
         parts = ", ".join(f"{part} {duration(seconds)}" for part, seconds in row["parts"].items())
-        bar, mean = BAR.format(row["look"], 100 * row["bar"], parts), row["seconds"] / row["count"]
-        rows.append(TableRow([
-            row["label"], *([num(row["count"], 0)] if several else []), num(row["seconds"], duration(row["seconds"])),
-            *([num(mean, duration(mean))] if several else []), Cell(bar, {"class": "wide", "data-value": row["share"]}),
-            num(row["peak"], size(row["peak"])),
-        ]))  # fmt: skip
+        bar = Cell(BAR.format(row["look"], 100 * row["bar"], parts), WIDE.format(row["share"]))
+        count, seconds = row["count"], row["seconds"]
+        times = [num(count, 0), num(seconds, duration(seconds)), num(seconds / count, duration(seconds / count))]
+        rows.append(
+            TableRow([row["label"], *(times if several else times[1:2]), bar, num(row["peak"], size(row["peak"]))])
+        )
     columns = heads("Stage | #Times done | #Time in all | #Time each" if several else "Stage | #Time")
     columns += [Column("Share", kind="wide"), Column("Peak memory", kind="num")]
     runs = {each.name: each.run for each in material.made.values()}

@@ -7,7 +7,7 @@ from markupsafe import Markup
 
 from novags.testbed.report.grid import SCALES, Line, main_column, shown_columns
 from novags.testbed.report.material import Material
-from novags.testbed.report.parts import Cell, Column, Page, Table, TableRow, num
+from novags.testbed.report.parts import Cell, Column, Page, Table, TableRow, num, text
 from novags.testbed.report.place import MAIN, Place
 from novags.testbed.report.tables import COLUMNS, digits, per_view
 from novags.testbed.report.verdict import table_of
@@ -21,6 +21,7 @@ LPIPS = "lit.lpips"
 LONG = 20  # letters of a place that need room
 LABELS = {"geometry": ("geometry", "the true surfaces"), "noise": ("noise", "the known noise")}
 SHOWN = {"recovered": share, "recovered_lit": share, "over.enhanced": signed, "over.lit": signed}  # else by digits
+PLUS_MINUS = Markup("{} <small>± {}</small>")
 SPREAD = {"mean": "Mean", "sd": "Standard deviation", "worst": "Worst view", "best": "Best view"}
 THERE = "Place among the methods that are compared with each other, by the column that the table is sorted by"
 RANK = Column("#", kind="rank", attributes={"title": THERE})
@@ -69,7 +70,7 @@ def ranked_table(
         name, rank = row["method"], row["cells"][0]["rank"] or ("" if row["competes"] else "†")
         cells = [num(c["value"], digits(c["key"]), rank=c["rank"], best=c["best"]) for c in row["cells"]]
         cells += [num(values.get(name), said(values[name]) if name in values else "") for _, values, said in more]
-        cells = [Cell(rank, {"class": "rank"}), Cell(named(place.rows[name])), *cells]
+        cells = [text(rank, "rank"), Cell(named(place.rows[name])), *cells]
         rows.append(TableRow(cells, {"data-command": commands.get(name)}))
     name, against = LABELS.get(kind, (f"scores-{kind}", kind))
     shown += [column for column, *_ in more]
@@ -122,16 +123,16 @@ def _line(line: Line, material: Material, page: Page, axes: Sequence[str], colum
     look, view = material.looks[line.method], page.views.get((line.where, line.method))
     done, of = sum(row["state"] == "done" for row in line.runs), len(line.runs)
     commands = [found for each in line.runs if (found := material.commands.get(int(each["run"])))]
-    cells = [Cell(line.places.get(main) or ("" if look.competes else "†"), {"class": "rank"}), Cell(named(look))]
+    cells = [text(line.places.get(main) or ("" if look.competes else "†"), "rank"), Cell(named(look))]
     for value in (line.place[axis] for axis in axes):
-        kind = "axis" if isinstance(value, int | float) else "where" if len(value) > LONG else None
-        cells.append(Cell(value, {"class": kind}))
+        kind = "axis" if isinstance(value, int | float) else "where" if len(value) > LONG else ""
+        cells.append(text(value, kind))
     cells.append(num(done, f"{done} of {of}" if done < of else str(done)))
     for column, _, _, _, places in columns:
         mean, sd = line.spread.get(column, (None, None))
-        text, rank = _text(column, mean, places), line.places.get(column)
-        text = text if sd is None else Markup("{} <small>± {}</small>").format(text, _text(column, sd, places))
-        cells.append(num(mean, text, rank=rank, sd=sd, best=rank == 1))
+        said, rank = _text(column, mean, places), line.places.get(column)
+        said = said if sd is None else PLUS_MINUS.format(said, _text(column, sd, places))
+        cells.append(num(mean, said, rank=rank, sd=sd, best=rank == 1))
     return TableRow(cells, {"data-of": line.where, "data-command": "\n".join(commands) or None, "data-view": view,
                             "data-picture": view and f"render-{line.method}"})  # fmt: skip
 
@@ -146,8 +147,8 @@ def _runs(material: Material, columns: Grid) -> Table:
     """Every run of a study by itself."""
     axes, rows = material.varied, list[TableRow]()
     for row in material.rows:
-        cells = [Cell(row["run"], {}), Cell(named(material.looks[row[METHOD]]))]
-        cells += [Cell(row[name], {}) for name in (*axes, "state")]
+        cells = [text(row["run"]), Cell(named(material.looks[row[METHOD]]))]
+        cells += [text(row[name]) for name in (*axes, "state")]
         for column, _, _, _, places in columns:
             value = row.get(column) if row["state"] == "done" else None
             value = value * SCALES.get(column, 1) if isinstance(value, int | float) else value

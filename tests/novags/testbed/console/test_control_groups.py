@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from novags.testbed.console import groups
+from novags.testbed.console.terminal import groups
 from novags.testbed.console.cores import cores_here
 from novags.testbed.console.memory import available_bytes
 
