@@ -133,8 +133,8 @@ def errors(options: argparse.Namespace) -> None:
     """Reconstruct the demo's capture from turned cameras, print the table."""
     from novags.cameras.sources.known import KnownConfig
     from novags.testbed import stages
-    from novags.testbed.console import Console
-    from novags.testbed.presets import EXPERIMENTS, adapted
+    from novags.testbed.console.terminal import Console
+    from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
 
     demo, console, out = EXPERIMENTS["demo"], Console(), options.out
     stages.render(out / "set", demo.render, console)

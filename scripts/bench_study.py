@@ -30,7 +30,7 @@ from pathlib import Path
 from typing import Any
 
 from novags.process import settle
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.ledger.code import Code
 from novags.testbed.ledger.stage import run_stage
 from novags.testbed.study.engines.local import Limits, Pool
@@ -59,8 +59,8 @@ OTHER = [6]  # its runs put the set into the store before anything is measured
 def bare(out: Path, iterations: int, seeds: list[int]) -> None:
     """The stages of the study without it, for a set that is there or is made."""
     from novags.testbed import stages
-    from novags.testbed.console import Console
-    from novags.testbed.study.grid import read_study
+    from novags.testbed.console.terminal import Console
+    from novags.testbed.study.cells.grid import read_study
 
     file, console, made = out / "study.toml", Console(quiet=True), set[Path]()
     file.write_text(STUDY.format(iterations=iterations, seeds=seeds))

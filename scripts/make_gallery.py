@@ -16,8 +16,8 @@ from make_scene_thumbnails import VIEWS, render
 from numpy.typing import NDArray
 from PIL import Image
 
+from novags.commands.answers.catalogue import first_sentence
 from novags.process import settle
-from novags.testbed.help.catalogue import first_sentence
 from novags.testbed.stages.capturing import expose_view
 from sensor_model import PRESETS, Exposure, develop
 from sensor_model.isp import to_srgb8

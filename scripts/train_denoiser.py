@@ -25,7 +25,7 @@ from torch.utils.data import DataLoader
 
 from novags.methods.denoised.network import Network, NetworkConfig
 from novags.methods.denoised.weights import save_weights
-from novags.testbed.machine.cores import cores_here
+from novags.testbed.console.cores import cores_here
 
 SAID = 30.0  # s between two lines of progress
 CHECKED = 10  # lines between two looks at pairs that are not trained on, which take a second

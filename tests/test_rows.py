@@ -53,7 +53,7 @@ for name, enhancer in ENHANCERS.items():
 import novags.testbed.stages.configs.capturing, novags.testbed.stages.configs.command
 import novags.testbed.stages.configs.denoising, novags.testbed.stages.configs.importing
 import novags.testbed.stages.configs.posing, novags.testbed.stages.configs.reconstructing
-import novags.testbed.stages.configs.rendering, novags.testbed.presets
+import novags.testbed.stages.configs.rendering, novags.testbed.study.cells.presets
 """
     assert printed(BEGIN + code + END) == []
 

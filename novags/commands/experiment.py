@@ -9,7 +9,7 @@ from novags.commands.study import check_numbers, engine_of
 from novags.options import CLUSTER, Cluster, Define, Device, PresetName, Repeated
 
 if TYPE_CHECKING:
-    from novags.testbed.presets import Preset
+    from novags.testbed.study.cells.presets import Preset
 
 
 def run(
@@ -94,9 +94,9 @@ def run(
         dry_run: Only say which stages would be done, or done again and why. Nothing is written. With a budget whose
             settings are not chosen yet: what would be tried, and what would be chosen from.
     """
-    from novags.testbed.presets import EXPERIMENTS, adapted
     from novags.testbed.report.page import write_report
     from novags.testbed.study import place
+    from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
 
     check_numbers(workers, cluster)
     side_by_side = engine == "ray" or workers is not None or cluster != CLUSTER

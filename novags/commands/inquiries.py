@@ -10,7 +10,7 @@ from novags.options import Listed
 
 def doctor() -> None:
     """Check what works on this machine, what does not, and how to install what is missing."""
-    from novags.testbed.machine.doctor import examine
+    from novags.commands.answers.doctor import examine
 
     marks = {"ok": "ok     ", "missing": "missing", "broken": "BROKEN "}
     broken = False
@@ -28,7 +28,7 @@ def list_(what: Annotated[Listed, tyro.conf.Positional] = "all") -> None:
     Args:
         what: One of these lists, or all.
     """
-    from novags.testbed.help.catalogue import listing
+    from novags.commands.answers.catalogue import listing
 
     say(listing(what))
 
@@ -39,6 +39,6 @@ def help_(topic: Annotated[str | None, tyro.conf.Positional] = None) -> None:
     Args:
         topic: The term.
     """
-    from novags.testbed.help.topics import page, topics
+    from novags.commands.answers.topics import page, topics
 
     say(page(topic) if topic else f"novags help TOPIC, with one of: {', '.join(topics())}")

@@ -8,7 +8,7 @@ from novags.commands.study import store_folder
 from novags.options import Name
 
 if TYPE_CHECKING:
-    from novags.testbed.console import Console
+    from novags.testbed.console.terminal import Console
     from novags.testbed.study.plan import Plan
 
 

@@ -70,9 +70,9 @@ def score(
 def _score_pictures(
     renders: Path, set: Path, reference: _Reference, out: Path | None, overwrite: bool
 ) -> None:  # fmt: skip
-    from novags.testbed.foreign.score import Truth, score_renders
     from novags.testbed.ledger.contents import write_json
     from novags.testbed.stages.paths import keep_apart
+    from novags.testbed.stages.scores.foreign import Truth, score_renders
 
     if out is not None:
         for source in (renders, set):
@@ -106,7 +106,7 @@ def export_results(
         wait: If another process is writing there, wait until it is done instead of refusing.
         dry_run: Only say which files would be made, or made again. Nothing is written.
     """
-    from novags.testbed.foreign.nerfbaselines import export_results as export
+    from novags.testbed.dataset.nerfbaselines import export_results as export
 
     with writing(out, wait, dry_run=dry_run) as console:
         say(export(runs, out, console, reference=reference, dataset=dataset, overwrite=overwrite))
@@ -174,7 +174,7 @@ def characterise(
             be made, or made again. Nothing is written.
     """
     from novags.numbers import SIDE, check_range
-    from novags.testbed.calibration_frames import characterise_folder
+    from novags.testbed.importing.calibration_frames import characterise_folder
     from novags.testbed.ledger.dry import planned
     from sensor_model.files.camera_file import write_sensor
 

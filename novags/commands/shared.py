@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 
 if TYPE_CHECKING:  # heavy: torch and its friends load when a command runs, so that --help answers at once
     from novags.methods.variant import Variant
-    from novags.testbed.console import Console
+    from novags.testbed.console.terminal import Console
 
 
 def variants_of(texts: tuple[str, ...]) -> "tuple[Variant, ...]":
     """The variants that `--variant` names: spelled out, or those of a TOML file."""
     from novags.methods.variant import parse_variant
-    from novags.testbed.presets import variants_in
+    from novags.testbed.study.cells.presets import variants_in
 
     found = [variants_in(Path(text)) if text.endswith(".toml") else (parse_variant(text),) for text in texts]
     return tuple(variant for variants in found for variant in variants)
@@ -36,7 +36,7 @@ def typed(path: Path) -> str:
 
 def say(what: object, stream: TextIO | None = None) -> None:
     """Print a result, on standard output if not told otherwise; names from outside in it cannot steer the terminal."""
-    from novags.testbed.console import shown
+    from novags.testbed.console.terminal import shown
 
     print(shown(str(what)), file=stream, flush=True)
 
@@ -50,7 +50,7 @@ def console() -> "Console":
     """A console; from here on, termination is an interruption like Ctrl-C."""
     import pycolmap  # noqa: F401 - its crash handler would take SIGTERM over if it were imported later
 
-    from novags.testbed.console import Console
+    from novags.testbed.console.terminal import Console
 
     signal.signal(signal.SIGTERM, terminated)
     return Console()
@@ -62,7 +62,7 @@ def writing(folder: Path, wait: bool, *, dry_run: bool = False, **lock: Any) -> 
 
     `lock`: further arguments of `locked`.
     """
-    from novags.testbed.console import warnings_as_notes
+    from novags.testbed.console.terminal import warnings_as_notes
     from novags.testbed.ledger.dry import dry_run as dry
     from sensor_model.files.lock import locked
 

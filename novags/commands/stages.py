@@ -29,9 +29,9 @@ def plan(
         light: How light gets from the lamps to the sensor.
     """
     from novags.numbers import check_range
-    from novags.testbed.forecast import PILOT, light_plan, sensor_plan
-    from novags.testbed.presets import EXPERIMENTS, adapted
     from novags.testbed.stages.configs.capturing import CaptureConfig
+    from novags.testbed.stages.planning import PILOT, light_plan, sensor_plan
+    from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
 
     check_range("light_tolerance", light_tolerance, 0, 1)
     config = CaptureConfig(sensor=sensor, electrons=electrons, time=time, tolerance=tolerance)
@@ -157,8 +157,8 @@ def capture(
     from novags.testbed import stages
     from novags.testbed.ledger.dry import dry_run as dry
     from novags.testbed.ledger.dry import planned
-    from novags.testbed.levels import Level, level_named
     from novags.testbed.stages.configs.capturing import CaptureConfig
+    from novags.testbed.study.cells.levels import Level, level_named
 
     named = CaptureConfig() if level is None else level_named(level)
     config = CaptureConfig(
@@ -211,8 +211,8 @@ def reconstruct(
     from novags.testbed import stages
     from novags.testbed.ledger.dry import dry_run as dry
     from novags.testbed.ledger.dry import planned
-    from novags.testbed.presets import EXPERIMENTS, adapted
     from novags.testbed.stages.viewers import check_viewers, viewer_files, write_viewers
+    from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
 
     own = variants_of(() if variant is None else (variant,))
     name = _one_of([each.name for each in own], method)

@@ -174,7 +174,7 @@ def _images(
 ) -> list[NDArray[np.float32]]:  # fmt: skip
     __tracebackhide__ = True
     if isinstance(pictures, Path | str):
-        from novags.testbed.foreign.pictures import find_renders, read_picture
+        from novags.testbed.importing.pictures import find_renders, read_picture
 
         files = find_renders(Path(pictures), views.names).files
         read = [read_picture(files[name], views.width, views.height) for name in views.names]

@@ -80,7 +80,7 @@ class PosedViews:
         Raises:
             ValueError: If it is not known: of photographs, and of a set that was scaled down for the capture.
         """
-        from novags.testbed.references import true_depth
+        from novags.testbed.folders.references import true_depth
 
         found = [true_depth(self._source, i) for i in self._indices]
         if any(depth is None for depth in found):

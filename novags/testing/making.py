@@ -5,11 +5,11 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from novags.testbed.console import Console
+from novags.testbed.console.cores import cores_here
+from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import Capture, open_capture
-from novags.testbed.machine.cores import cores_here
-from novags.testbed.presets import EXPERIMENTS
-from novags.testbed.study.axes import OF_RUNS, Changes, applied, changes_of
+from novags.testbed.study.cells.axes import OF_RUNS, Changes, applied, changes_of
+from novags.testbed.study.cells.presets import EXPERIMENTS
 from novags.testbed.study.entry import Order, Task, ensure
 from novags.testbed.study.plan import Planner
 from novags.testbed.study.steps import depends, steps

@@ -30,7 +30,7 @@ from settle import write_table
 from novags.methods import METHODS, chosen, with_variants
 from novags.methods.variant import Variant
 from novags.process import settle
-from novags.testbed.csv_text import as_csv, text_of
+from novags.testbed.console.csv_text import as_csv, text_of
 from novags.testbed.report.grid import HELPED, Line, by_place, lines_of
 from novags.testbed.report.rows import looks_of
 from sensor_model.files.toml_file import read_toml

@@ -18,10 +18,10 @@ def main() -> None:
     from novags.process import settle
 
     settle()
-    from novags.testbed.console import Console
+    from novags.testbed.console.terminal import Console
     from novags.testbed.ledger import stage
+    from novags.testbed.study.cells.grid import read_study
     from novags.testbed.study.entry import Order
-    from novags.testbed.study.grid import read_study
     from novags.testbed.study.plan import plan_of
     from novags.testbed.study.steps import make
 

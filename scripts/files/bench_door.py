@@ -33,7 +33,7 @@ for words in (
 OPEN = """
 import resource, sys
 from pathlib import Path
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.folders.experiment import gather
 quiet = Console(quiet=True)
 def used():

@@ -21,7 +21,7 @@ from novags.methods.noise_estimate import camera_figures, noise_from
 from novags.methods.problem import RawPictures
 from novags.process import settle
 from novags.testbed import stages
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.folders.set import open_source
 from novags.testbed.stages.capturing import expose_with_truth
 from novags.testbed.stages.configs.rendering import RenderConfig

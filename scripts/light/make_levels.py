@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 
 from novags.process import settle
 from novags.testbed import stages
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import Capture, open_capture
-from novags.testbed.levels import CHIPS, LEVELS
 from novags.testbed.stages.configs.capturing import CaptureConfig
 from novags.testbed.stages.configs.rendering import RenderConfig
+from novags.testbed.study.cells.levels import CHIPS, LEVELS
 from sensor_model.isp import LINEAR16_BLACK, to_linear16
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"

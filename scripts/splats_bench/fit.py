@@ -56,7 +56,7 @@ def oracle_problem(capture: Path, n: int) -> tuple[Gaussians, Views, Tensor]:
     from novags.methods.enhancers.applying import enhanced_clean
     from novags.methods.enhancers.choice import EnhanceConfig
     from novags.methods.start import start_gaussians
-    from novags.testbed.console import Console
+    from novags.testbed.console.terminal import Console
     from novags.testbed.folders.capture import open_capture
     from novags.testbed.stages.configs.reconstructing import ReconstructConfig
     from novags.testbed.stages.reconstructing import prepare

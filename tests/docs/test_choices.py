@@ -8,7 +8,7 @@ from types import ModuleType
 
 import pytest
 
-from novags.testbed.study.grid import study_of
+from novags.testbed.study.cells.grid import study_of
 from sensor_model.files.toml_file import read_toml
 
 ROOT = Path(__file__).resolve().parents[2]

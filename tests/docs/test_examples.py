@@ -11,7 +11,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))  # where pytest is started by itself and not as a module
 
-from novags.testbed.console import Console  # noqa: E402
+from novags.testbed.console.terminal import Console  # noqa: E402
 from novags.testbed.folders.experiment import gather  # noqa: E402
 from sensor_model import read_sensor, srgb_to_linear  # noqa: E402
 from simscenes.sets.pictures.exr import write_exr  # noqa: E402

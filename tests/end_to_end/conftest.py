@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from novags.testbed.console import Console
-from novags.testbed.presets import EXPERIMENTS, Preset, adapted
+from novags.testbed.console.terminal import Console
 from novags.testbed.report.page import write_report
+from novags.testbed.study.cells.presets import EXPERIMENTS, Preset, adapted
 from novags.testbed.study.place import run
 
 

@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.ledger import contents, stage
 from novags.testbed.ledger.code import Code
 from novags.testbed.ledger.stage import run_stage

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from novags.commands.dataset import dataset
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.dataset.file import read_dataset
 from novags.testbed.dataset.forecast import forecast
 from novags.testbed.dataset.shards import MEMBERS, remove_shards

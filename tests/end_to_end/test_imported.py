@@ -12,18 +12,18 @@ import pytest
 
 from novags import cli
 from novags.testbed import stages
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import open_capture
+from novags.testbed.folders.references import enhanced_truth
 from novags.testbed.folders.run import open_run
 from novags.testbed.folders.set import open_source
 from novags.testbed.ledger.code import code_of
 from novags.testbed.ledger.made import made_with
 from novags.testbed.metrics.images import image_scores
-from novags.testbed.presets import EXPERIMENTS, Preset, adapted
-from novags.testbed.references import enhanced_truth
 from novags.testbed.report.page import write_report
 from novags.testbed.stages.configs.capturing import CaptureConfig
 from novags.testbed.stages.configs.importing import ImportConfig
+from novags.testbed.study.cells.presets import EXPERIMENTS, Preset, adapted
 from novags.testbed.study.entry import Order
 from novags.testbed.study.plan import Planner
 from novags.testbed.study.steps import make

@@ -11,9 +11,9 @@ import pytest
 
 from novags import cli
 from novags.splats import NotFinite
-from novags.testbed.console import Console
-from novags.testbed.presets import Preset
+from novags.testbed.console.terminal import Console
 from novags.testbed.report.page import write_report
+from novags.testbed.study.cells.presets import Preset
 from novags.testbed.study.place import run
 
 FITTING = importlib.import_module("novags.splats.training.fit")  # the package's `fit` is the function

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from novags.testbed import stages
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import open_capture
-from novags.testbed.presets import Preset, adapted
 from novags.testbed.report.page import write_report
 from novags.testbed.stages.configs.capturing import CaptureConfig
+from novags.testbed.study.cells.presets import Preset, adapted
 from simscenes import orbit_rig
 from simscenes.rigs import opencv_to_opengl
 from simscenes.sets.multiview import write_cameras

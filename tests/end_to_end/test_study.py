@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from novags.testbed import stages
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.folders.run import METRICS
-from novags.testbed.study.grid import read_study
+from novags.testbed.study.cells.grid import read_study
 
 STUDY = """
 [grid]

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from novags.testbed.machine.cores import cores_here
+from novags.testbed.console.cores import cores_here
 from novags.testbed.study.results import COSTS
 
 pytest.importorskip("ray")

@@ -17,12 +17,12 @@ import pytest
 
 from novags.splats import read_ply
 from novags.testbed import stages
-from novags.testbed.console import Console, Update
+from novags.testbed.console.terminal import Console, Update
 from novags.testbed.folders.capture import open_capture
 from novags.testbed.ledger.contents import read_json
-from novags.testbed.presets import Preset, adapted
 from novags.testbed.report.page import write_report
 from novags.testbed.stages.configs.reconstructing import ReconstructConfig
+from novags.testbed.study.cells.presets import Preset, adapted
 from novags.testbed.study.place import run, score_all
 from novags.testing import DarkCapture, assert_noise, assert_scores
 from simscenes import load_set, read_exr

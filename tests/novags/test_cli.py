@@ -249,7 +249,7 @@ def test_a_command_without_standard_output_does_its_work() -> None:
 
 @pytest.mark.parametrize("gsplat", ["1.5.3", None])
 def test_doctor_says_whether_fits_run_on_the_gpu(gsplat: str | None, monkeypatch: pytest.MonkeyPatch) -> None:
-    from novags.testbed.machine import doctor
+    from novags.commands.answers import doctor
 
     monkeypatch.setattr(doctor, "package_version", lambda name: gsplat if name == "gsplat" else "1.0")
     monkeypatch.setattr(doctor, "_import_problem", lambda module: "")
@@ -306,7 +306,7 @@ def test_commands_that_messages_advise_are_such_that_a_shell_takes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from novags.testbed.budget.known import known
-    from novags.testbed.console import Console
+    from novags.testbed.console.terminal import Console
     from novags.testbed.report import place
     from novags.testbed.stages import import_photographs
     from novags.testbed.stages.configs.importing import ImportConfig
@@ -342,7 +342,7 @@ def test_ctrl_c_while_a_library_loads_is_an_interruption(
         except ImportError as error:
             raise RuntimeError("Cannot import the C++ backend") from error
 
-    monkeypatch.setattr("novags.testbed.help.catalogue.listing", load)
+    monkeypatch.setattr("novags.commands.answers.catalogue.listing", load)
     assert call("list") == 130
     assert capsys.readouterr().err.startswith("novags: interrupted; the same command again continues")
 
@@ -363,7 +363,7 @@ def test_ctrl_c_while_numpy_loads_is_said_without_it(
         monkeypatch.setitem(sys.modules, "sensor_model.files.reading", None)  # importing that fails from here on
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("novags.testbed.help.catalogue.listing", load)
+    monkeypatch.setattr("novags.commands.answers.catalogue.listing", load)
     assert call("list") == 130
     assert capsys.readouterr().err == "novags: interrupted; the same command again continues where this one stopped\n"
 

@@ -53,7 +53,7 @@ def test_doctor_says_where_kernels_are_kept_when_the_package_may_not_be_written_
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """Rationale: it said that they are compiled anew each time."""
-    from novags.testbed.machine import doctor
+    from novags.commands.answers import doctor
 
     home = str(tmp_path)
     monkeypatch.setattr("os.access", lambda place, _: str(place).startswith(home))

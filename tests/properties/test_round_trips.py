@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from novags.methods.variant import parse_variant, read_variants
 from novags.splats import Gaussians, read_ply, write_ply
-from novags.testbed.folders.raw_files import read_digital_numbers
+from novags.testbed.folders.photographs.raw_files import read_digital_numbers
 from novags.testbed.ledger.contents import jsonable, read_json, write_json
 from sensor_model import (
     Banding,

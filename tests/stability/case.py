@@ -10,7 +10,7 @@ import numba
 import numpy as np
 import torch
 
-from novags.testbed.machine.provenance import package_version
+from novags.testbed.console.provenance import package_version
 from simscenes.backend import backend_status
 
 EPS = float(np.finfo(np.float32).eps)

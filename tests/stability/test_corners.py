@@ -15,9 +15,9 @@ from novags.methods import METHODS, chosen, names
 from novags.methods.enhancers import network_of
 from novags.methods.gaussian_scene import GaussianScene
 from novags.testbed import stages
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.ledger.contents import read_json
-from novags.testbed.presets import EXPERIMENTS, adapted
+from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
 from simscenes import SCENES, read_exr
 
 Row = dict[str, Any]

@@ -6,12 +6,12 @@ from pathlib import Path
 from shlex import quote
 
 from novags.testbed.budget.choice import Option, refined, united
+from novags.testbed.console.provenance import hardware
 from novags.testbed.knobs.knob import spelled
 from novags.testbed.knobs.options import LEAST, values
 from novags.testbed.ledger.contents import jsonable
-from novags.testbed.machine.provenance import hardware
 from novags.testbed.pareto.curve import CURVES, Point, read_curves
-from novags.testbed.presets import Preset
+from novags.testbed.study.cells.presets import Preset
 from sensor_model.files.reading import brief, reading
 
 SHIPPED = Path(__file__).resolve().parents[1] / "pareto" / "shipped.jsonl"

@@ -11,7 +11,7 @@ from novags.testbed.folders.experiment import EXPERIMENT
 from novags.testbed.folders.run import METRICS
 from novags.testbed.knobs.options import WORDS, values
 from novags.testbed.ledger.contents import jsonable, read_json
-from novags.testbed.presets import Preset
+from novags.testbed.study.cells.presets import Preset
 
 State = Mapping[str, Any]
 

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from novags.methods import METHODS
-from novags.testbed.console import Console, Update
+from novags.testbed.console.terminal import Console, Update
 from novags.testbed.folders.run import METRICS, RECORD
 from novags.testbed.ledger.contents import read_json
-from novags.testbed.presets import Preset, adapted
 from novags.testbed.study import place as experiment
+from novags.testbed.study.cells.presets import Preset, adapted
 from sensor_model.files.scratch import scratch
 from simscenes.rigs import TEST_EVERY
 

@@ -19,8 +19,8 @@ from typing import Any, Literal, get_type_hints
 from novags.methods.variant import dotted
 from novags.settings import check_seed, converted
 from novags.testbed.dataset.noise import with_own_noise
-from novags.testbed.study.axes import OF_RUNS, changes_of, scene_identity, scene_of
-from novags.testbed.study.grid import Cell, Study, study_of
+from novags.testbed.study.cells.axes import OF_RUNS, changes_of, scene_identity, scene_of
+from novags.testbed.study.cells.grid import Cell, Study, study_of
 from sensor_model.files.door import resolved
 from sensor_model.files.reading import brief
 from sensor_model.files.toml_file import read_toml

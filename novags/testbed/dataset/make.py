@@ -9,7 +9,8 @@ import re
 from pathlib import Path
 from typing import Any
 
-from novags.testbed.console import Console
+from novags.testbed.console.provenance import package_version
+from novags.testbed.console.terminal import Console
 from novags.testbed.dataset.card import card
 from novags.testbed.dataset.croissant import croissant
 from novags.testbed.dataset.file import SPLITS, DatasetConfig, spelled
@@ -17,9 +18,8 @@ from novags.testbed.dataset.publish import INDEX, Entry, entries_of, link, views
 from novags.testbed.dataset.shards import FOLDER, remove_shards, write_shards
 from novags.testbed.dataset.splits import splits_of
 from novags.testbed.ledger.contents import write_json
-from novags.testbed.machine.provenance import package_version
+from novags.testbed.study.cells.grid import Study
 from novags.testbed.study.conduct import STUDY
-from novags.testbed.study.grid import Study
 from novags.testbed.study.plan import Plan
 from novags.testbed.study.session import jsonable_table
 from sensor_model.files.atomic import remove, write_text

@@ -7,8 +7,8 @@ trained and tested on such captures could learn the numbers themselves.
 from dataclasses import fields, replace
 
 from novags.testbed.ledger.contents import digest
-from novags.testbed.presets import Preset
 from novags.testbed.stages.configs.capturing import OwnNoiseConfig
+from novags.testbed.study.cells.presets import Preset
 
 SEEDS = 2**53  # every reader of JSON and CSV holds whole numbers up to here, also those that take them for floats
 

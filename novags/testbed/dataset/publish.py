@@ -10,14 +10,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from novags.testbed.csv_text import as_csv
+from novags.testbed.console.csv_text import as_csv
 from novags.testbed.dataset.file import spelled
 from novags.testbed.folders.capture import RECORD as CAPTURE
 from novags.testbed.ledger.contents import not_as_written, read_json
 from novags.testbed.ledger.store import Seal, files_of, read_seal
 from novags.testbed.stages.layouts import RECORD as SET
+from novags.testbed.study.cells.grid import Value
 from novags.testbed.study.entry import Task
-from novags.testbed.study.grid import Value
 from novags.testbed.study.plan import Plan
 from sensor_model.files.atomic import write_text
 from sensor_model.files.door import admitted, check_links

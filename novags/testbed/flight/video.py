@@ -9,15 +9,15 @@ import torch
 from novags.methods.nerf.scene import FILE
 from novags.methods.problem import encode
 from novags.splats.views import Views
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.flight.film import check_path, film
 from novags.testbed.flight.panels import Panel, frame
 from novags.testbed.flight.path import SAME, fly
 from novags.testbed.folders.capture import Capture
+from novags.testbed.folders.references import pictured, references
 from novags.testbed.folders.run import CAMERAS, SCENE, Run
 from novags.testbed.folders.set import Source
 from novags.testbed.ledger.dry import planned
-from novags.testbed.references import pictured, references
 from novags.testbed.report.look.pictures import LONG, TRUTHS
 from novags.testbed.viewer.splats import scene_of
 from novags.testbed.viewer.world import own_cameras

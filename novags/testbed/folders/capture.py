@@ -24,12 +24,12 @@ from novags.methods.memo import Memo
 from novags.methods.noise import Noise, camera_noise
 from novags.methods.noise_estimate import PIXELS, SMALLEST
 from novags.methods.problem import RawPictures, encode
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture_record import CaptureRecord, Imported, read_capture_record
 from novags.testbed.folders.exchanged import REMEDIES, refuse_exchanged
 from novags.testbed.folders.imported import MISSING, read_clean
+from novags.testbed.folders.photographs.raw_files import read_digital_numbers
 from novags.testbed.folders.place import place_of
-from novags.testbed.folders.raw_files import read_digital_numbers
 from novags.testbed.folders.set import PHOTOGRAPHS, Source, open_source
 from novags.testbed.ledger.contents import folder_digest, refuse_damage
 from sensor_model.files.dng import write_dng

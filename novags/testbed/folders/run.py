@@ -20,7 +20,7 @@ import numpy as np
 
 from novags.methods.enhancers import located
 from novags.methods.enhancers.enhancer import NETWORK
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.folders import shapes
 from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.folders.events import event_of

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from novags.numbers import SSIM_WINDOW
-from novags.testbed.console import Console, warnings_as_notes
+from novags.testbed.console.terminal import Console, warnings_as_notes
 from novags.testbed.folders.exchanged import refuse_exchanged
 from novags.testbed.ledger.contents import folder_digest
 from sensor_model.files.door import enter
@@ -37,7 +37,7 @@ NOISE = 0.01  # of a photograph's bright light: values further below 0 are not n
 
 # What photographs need and no rendered set, beside `READERS`.
 PHOTOGRAPHS: Registry[Callable[..., Any]] = Registry({
-    "linear files": "novags.testbed.folders.linear_photographs:load_linear_set",
+    "linear files": "novags.testbed.folders.photographs.linear:load_linear_set",
     "noise": "novags.methods.noise_estimate:noise_from",
 })  # fmt: skip
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from novags.testbed.console import Update
+from novags.testbed.console.terminal import Update
 from novags.testbed.importing.dark import Dark
 from novags.testbed.importing.darkroom import Darkroom
 from novags.testbed.importing.stored import depth_of

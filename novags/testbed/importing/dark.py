@@ -9,9 +9,9 @@ from pathlib import Path
 from shlex import quote
 from typing import NoReturn
 
-from novags.testbed.console import Console, warnings_as_notes
-from novags.testbed.folders import raw_files
-from novags.testbed.folders.linear_photographs import find_linear
+from novags.testbed.console.terminal import Console, warnings_as_notes
+from novags.testbed.folders.photographs import raw_files
+from novags.testbed.folders.photographs.linear import find_linear
 from novags.testbed.folders.set import READ_FROM, Source, open_source, source_of
 from novags.testbed.importing.published.datasets import DEPTH, Dataset, scene_names, scenes_below
 from novags.testbed.importing.published.posed import has_cameras

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from novags.testbed.folders.linear_photographs import middle, within_margins
-from novags.testbed.folders.raw_files import is_raw, read_radiance, size
+from novags.testbed.folders.photographs.linear import middle, within_margins
+from novags.testbed.folders.photographs.raw_files import is_raw, read_radiance, size
 from novags.testbed.importing.raw_camera import RawCamera
 from novags.testbed.importing.stored import Codes16, Depth, read_stored, refuse_transparent
 from sensor_model.isp import to_srgb8

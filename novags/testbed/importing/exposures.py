@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from novags.testbed.folders.raw_files import is_raw, read_exposure
+from novags.testbed.folders.photographs.raw_files import is_raw, read_exposure
 from simscenes.sets.pictures.image_file import header
 
 ALIKE = 0.02  # relative: cameras round what they state

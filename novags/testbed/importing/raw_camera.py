@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from novags.testbed.folders.raw_files import RawFormat, read_digital_numbers, read_format
+from novags.testbed.folders.photographs.raw_files import RawFormat, read_digital_numbers, read_format
 from sensor_model.isp import Demosaic, develop_linear
 from sensor_model.params import CFAS, Cfa, Sensor
 

@@ -7,8 +7,8 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from novags.testbed.folders.raw_files import SUFFIXES as RAW
-from novags.testbed.folders.raw_files import is_raw
+from novags.testbed.folders.photographs.raw_files import SUFFIXES as RAW
+from novags.testbed.folders.photographs.raw_files import is_raw
 from sensor_model.files.door import read_bytes
 from sensor_model.isp import srgb_to_linear
 from simscenes.sets.pictures.image_file import alpha_of, has_alpha, header, read_image

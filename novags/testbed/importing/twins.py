@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from novags.testbed.console import Console, warnings_as_notes
+from novags.testbed.console.terminal import Console, warnings_as_notes
 from novags.testbed.folders.exchanged import refuse_exchanged
-from novags.testbed.folders.linear_photographs import load_linear_set
+from novags.testbed.folders.photographs.linear import load_linear_set
 from novags.testbed.importing.stored import PICTURES
 from novags.testbed.ledger.contents import folder_digest
 from sensor_model.files.door import resolved

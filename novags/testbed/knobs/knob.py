@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from novags.testbed.presets import Preset
+    from novags.testbed.study.cells.presets import Preset
 
 Setting = str | int | float | None
 LARGEST = 1e100  # of a time or an error: their squares must be numbers too

@@ -5,14 +5,14 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from novags.testbed.console import Console
+from novags.testbed.console.provenance import environment
+from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import open_capture
 from novags.testbed.knobs.knob import Knob, Measured, Setting, Subject
 from novags.testbed.knobs.subjects import Sizes, subject_of
 from novags.testbed.ledger.code import Code, code_of
 from novags.testbed.ledger.contents import jsonable, read_json
 from novags.testbed.ledger.stage import run_stage
-from novags.testbed.machine.provenance import environment
 
 MEASURED = "measured.json"
 SHAPE = {"seconds": float, "cpu_seconds": float, "error": float, "parts": {"*": float}}

@@ -6,7 +6,7 @@ from typing import Any
 from novags.methods import METHODS, chosen
 from novags.testbed.knobs.knob import Subject
 from novags.testbed.knobs.reconstruction import SCENE, Bench
-from novags.testbed.presets import EXPERIMENTS, adapted
+from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
 
 PRESET = EXPERIMENTS["demo"]
 SIZES = ("views", "width", "height", "spp", "points", "iterations", "denoiser_steps")  # the preset's own if not given

@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from novags.settings import flattened
-from novags.testbed.presets import Preset, adapted
 from novags.testbed.stages.configs.reconstructing import ReconstructConfig
+from novags.testbed.study.cells.presets import Preset, adapted
 
 # The smallest value that still makes sense.
 LEAST = {"iterations": 10, "points": 100, "denoiser_steps": 1, "spp": 2, "size": 16}

@@ -15,18 +15,18 @@ from novags.methods.reconstruction import Reconstruction
 from novags.methods.variant import Variant
 from novags.settings import changed, flattened, has_setting
 from novags.testbed import stages
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import Capture, open_capture
+from novags.testbed.folders.references import enhanced_truth, pictured
 from novags.testbed.knobs.clock import Clock
 from novags.testbed.knobs.knob import Knob, Measured, Setting
 from novags.testbed.knobs.options import values
 from novags.testbed.ledger.contents import jsonable, read_json
 from novags.testbed.metrics.images import aligned_psnr
-from novags.testbed.presets import Preset, adapted
-from novags.testbed.references import enhanced_truth, pictured
 from novags.testbed.stages.camera_source import Frame
 from novags.testbed.stages.configs.reconstructing import ReconstructConfig
 from novags.testbed.stages.reconstructing import Prepared, prepare
+from novags.testbed.study.cells.presets import Preset, adapted
 from sensor_model.files.scratch import scratch
 
 SCENE = "tabletop"

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from sensor_model.files.lock import dry
 
 NOT_DONE = "(dry run: nothing is done)"

@@ -17,7 +17,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from novags.testbed.console import Console
+from novags.testbed.console.memory import memory_shortage_said
+from novags.testbed.console.provenance import PeakMemory, environment
+from novags.testbed.console.terminal import Console
 from novags.testbed.ledger.code import Code
 from novags.testbed.ledger.contents import (
     UNFINISHED,
@@ -38,8 +40,6 @@ from novags.testbed.ledger.dry import NOT_DONE, Planned
 from novags.testbed.ledger.made import made_name, made_with, write_made
 from novags.testbed.ledger.same import taken_over
 from novags.testbed.ledger.source import hashed
-from novags.testbed.machine.memory import memory_shortage_said
-from novags.testbed.machine.provenance import PeakMemory, environment
 from sensor_model.files.atomic import Witness, remove, witnessed
 from sensor_model.files.lock import dry, locked
 

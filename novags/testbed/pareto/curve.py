@@ -7,9 +7,9 @@ from pathlib import Path
 from statistics import mean, median, stdev
 from typing import Any
 
+from novags.testbed.console.provenance import environment
 from novags.testbed.knobs.knob import Knob, Setting, Subject
 from novags.testbed.ledger.contents import jsonable
-from novags.testbed.machine.provenance import environment
 from novags.testbed.pareto.front import front
 from sensor_model.files.atomic import write_text
 from sensor_model.files.door import read_text

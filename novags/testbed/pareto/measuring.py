@@ -16,8 +16,8 @@ from novags.settings import check_seed
 from novags.testbed.knobs.knob import Setting, Subject
 from novags.testbed.knobs.measurement import Measurement
 from novags.testbed.knobs.subjects import sizes_of, subject_of
-from novags.testbed.presets import EXPERIMENTS
-from novags.testbed.study.grid import Cell, Study, at, read_study, refuse_unknown
+from novags.testbed.study.cells.grid import Cell, Study, at, read_study, refuse_unknown
+from novags.testbed.study.cells.presets import EXPERIMENTS
 from sensor_model.files.reading import brief
 from sensor_model.files.toml_file import read_toml
 

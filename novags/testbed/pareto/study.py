@@ -4,7 +4,7 @@ import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.knobs.measurement import MEASURED
 from novags.testbed.knobs.subjects import PARTS, chosen
 from novags.testbed.ledger.contents import read_json

@@ -12,8 +12,8 @@ from novags.methods.variant import Variant
 from novags.testbed.folders.place import place_of
 from novags.testbed.folders.run import Run
 from novags.testbed.ledger.contents import jsonable
-from novags.testbed.presets import EXPERIMENTS, Preset
 from novags.testbed.stages.configs.reconstructing import ReconstructConfig
+from novags.testbed.study.cells.presets import EXPERIMENTS, Preset
 from sensor_model.files.door import resolved
 
 PRESET = "demo"  # what `novags reconstruct` starts from

@@ -6,7 +6,7 @@ from typing import Any
 
 from novags.testbed.report.tables import measured, ranks, spread_of
 from novags.testbed.report.words import join
-from novags.testbed.study.grid import spelled
+from novags.testbed.study.cells.grid import spelled
 from novags.testbed.study.light import METHOD, SEED
 
 Row = Mapping[str, Any]

@@ -9,7 +9,7 @@ from typing import Any
 
 from markupsafe import Markup
 
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.folders.experiment import REPORT, experiments_in
 from novags.testbed.ledger.contents import digest, jsonable
 from novags.testbed.ledger.dry import planned

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from novags.testbed.console import Update
+from novags.testbed.console.terminal import Update
 from novags.testbed.report.look.album import Album
 from novags.testbed.report.material import Material
 from novags.testbed.report.words import number

@@ -7,16 +7,16 @@ from pathlib import Path
 from shlex import quote
 from typing import Any
 
-from novags.testbed.console import Console
-from novags.testbed.exposures import Exposures, exposures_of
+from novags.testbed.console.terminal import Console
 from novags.testbed.folders import shapes
 from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.experiment import EXPERIMENT, find_runs, gather
+from novags.testbed.folders.exposures import Exposures, exposures_of
 from novags.testbed.folders.run import METRICS, Run
 from novags.testbed.folders.set import Source
 from novags.testbed.ledger.contents import read_json
 from novags.testbed.report.rows import Row, main_row, rows_of
-from novags.testbed.stages.scoring import deltas, merge
+from novags.testbed.stages.scores.scoring import deltas, merge
 
 MAIN = {"enhanced": "aligned_psnr", "lit": "tone_aligned_psnr"}  # the score of each reference that runs are compared by
 

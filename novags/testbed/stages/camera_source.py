@@ -16,7 +16,7 @@ from novags.cameras.estimate import CameraEstimate, near_origin
 from novags.cameras.estimating import estimate_cameras
 from novags.cameras.source import CameraConfig
 from novags.splats.views import Views
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.set import Source
 from novags.testbed.stages.failing import failing_in

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from novags.testbed.console import Console, Update
+from novags.testbed.console.terminal import Console, Update
 from novags.testbed.folders import capture as capture_folder
 from novags.testbed.folders.capture import has_view, write_view
 from novags.testbed.folders.place import keep_place, recorded_place

@@ -9,10 +9,10 @@ import numpy as np
 from novags.methods.denoised.denoiser import denoised
 from novags.methods.denoised.measured import of_capture
 from novags.methods.denoised.weights import made_by
-from novags.testbed.console import Console
+from novags.testbed.console.devices import chosen_device
+from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.ledger.stage import run_stage
-from novags.testbed.machine.devices import chosen_device
 from novags.testbed.stages.configs.denoising import DenoisePicturesConfig
 from novags.testbed.stages.paths import keep_apart
 from novags.testbed.stages.reconstructing import raw_pictures, stack

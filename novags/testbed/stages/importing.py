@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.folders import capture as capture_folder
 from novags.testbed.folders.capture import has_view
 from novags.testbed.folders.imported import write_clean

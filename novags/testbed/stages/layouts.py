@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from novags.testbed.console import Console, warnings_as_notes
+from novags.testbed.console.terminal import Console, warnings_as_notes
 from sensor_model.files.reading import brief
 from simscenes.job.identity import SPENT
 from simscenes.rigs import Rig

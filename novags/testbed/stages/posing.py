@@ -10,10 +10,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from novags.cameras.motion.registration import PLACED, Observed, Registered, Shot, register
-from novags.testbed.console import Console
-from novags.testbed.folders.raw_files import SUFFIXES as RAW
+from novags.testbed.console.terminal import Console
+from novags.testbed.folders.photographs.raw_files import SUFFIXES as RAW
+from novags.testbed.folders.photographs.video import is_video, write_frames
 from novags.testbed.folders.set import left_out
-from novags.testbed.folders.video import is_video, write_frames
 from novags.testbed.ledger.contents import folder_digest
 from novags.testbed.ledger.stage import run_stage
 from novags.testbed.stages.configs.posing import PosesConfig

@@ -16,17 +16,17 @@ from novags.methods.problem import Problem, RawPictures, TrueSurface
 from novags.methods.reconstruction import Reconstruction
 from novags.methods.variant import sees_statistics
 from novags.splats.views import Views
-from novags.testbed.console import Console, losses_text, warnings_as_notes
+from novags.testbed.console.devices import chosen_device
+from novags.testbed.console.terminal import Console, losses_text, warnings_as_notes
 from novags.testbed.folders import run as run_folder
 from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.folders.events import EventLog
 from novags.testbed.folders.imported import MISSING
 from novags.testbed.folders.place import keep_place, recorded_place
+from novags.testbed.folders.references import pictured
 from novags.testbed.folders.run import CAMERAS, CHECKPOINTS, EVENTS
 from novags.testbed.folders.set import Source
 from novags.testbed.ledger.stage import run_stage
-from novags.testbed.machine.devices import chosen_device
-from novags.testbed.references import pictured
 from novags.testbed.stages.camera_source import Frame, cameras_of, true_cameras, viewer_cameras, views_of
 from novags.testbed.stages.configs.reconstructing import ReconstructConfig, files_of
 from novags.testbed.stages.paths import keep_apart

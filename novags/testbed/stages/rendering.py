@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from novags.testbed.console import Console, warnings_as_notes
+from novags.testbed.console.terminal import Console, warnings_as_notes
 from novags.testbed.ledger.contents import digest, read_json
 from novags.testbed.ledger.stage import run_stage
 from novags.testbed.stages.configs.rendering import RenderConfig

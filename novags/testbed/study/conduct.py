@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.ledger.contents import read_json, write_json
 from novags.testbed.ledger.store import SEAL, costs
 from novags.testbed.study.costs import Costs, longest_after, time_left

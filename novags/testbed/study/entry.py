@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.ledger.code import code_of
 from novags.testbed.ledger.contents import read_json
 from novags.testbed.ledger.same import remember, sharing
@@ -31,9 +31,7 @@ class Task:
     config: Any  # of its stage: `RenderConfig`, `CaptureConfig`, `ImportConfig`, `ReconstructConfig`, …
     needs: tuple[str, ...] = ()  # keys of the tasks it is made from
     source: Path | None = None  # the set that a capture photographs, or the photographs it imports, if no task makes it
-    group: str = (
-        ""  # what its cost is compared with: the scene, the camera, the method; of KIN:… its kin, too
-    )
+    group: str = ""  # what its cost is compared with: the scene, the camera, the method; of KIN:… its kin, too
     work: float = 0.0  # what its cost grows with, in `costs.UNITS`
     pixels: float = 0.0  # of all its views
     modules: tuple[str, ...] = ()  # `Source.modules` of the set that is photographed

@@ -4,8 +4,8 @@ import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
+from novags.testbed.console.memory import available_bytes
 from novags.testbed.ledger.store import KINDS, costs, other_entries
-from novags.testbed.machine.memory import available_bytes
 from novags.testbed.study.conduct import KEPT, there
 from novags.testbed.study.costs import Costs
 from novags.testbed.study.engines.choice import Engine

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from novags.testbed import stages
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.folders import capture as captures
 from novags.testbed.folders import shapes
 from novags.testbed.folders.experiment import EXPERIMENT, REPORT, REPORT_FILES, find_runs
@@ -20,13 +20,13 @@ from novags.testbed.folders.run import METRICS, RECORD
 from novags.testbed.ledger.contents import UNFINISHED, read_json, write_json
 from novags.testbed.ledger.dry import NOT_DONE, dry_run, planned
 from novags.testbed.ledger.stage import refuse_other
-from novags.testbed.presets import Preset
-from novags.testbed.stages.scoring import merge
+from novags.testbed.stages.scores.scoring import merge
+from novags.testbed.study.cells.grid import Cell, Study
+from novags.testbed.study.cells.presets import Preset
 from novags.testbed.study.conduct import FAILURES, conduct
 from novags.testbed.study.engines.choice import Engine
 from novags.testbed.study.engines.here import Here
 from novags.testbed.study.entry import Task
-from novags.testbed.study.grid import Cell, Study
 from novags.testbed.study.plan import Plan, Planner, check
 from novags.testbed.study.results import CSV, JSON
 from novags.testbed.study.steps import steps

@@ -10,13 +10,12 @@ from typing import Any
 from novags.cameras import check_cameras
 from novags.cameras.sources.known import KnownConfig
 from novags.settings import flattened
-from novags.testbed.console import Console
+from novags.testbed.console.devices import chosen_device
+from novags.testbed.console.terminal import Console
 from novags.testbed.folders.set import for_photographs, open_source
 from novags.testbed.knobs.measurement import Measurement
 from novags.testbed.ledger.contents import digest, folder_digest
 from novags.testbed.ledger.store import key_of, named
-from novags.testbed.machine.devices import chosen_device
-from novags.testbed.presets import Preset
 from novags.testbed.stages.configs.capturing import CaptureConfig
 from novags.testbed.stages.configs.command import CommandConfig
 from novags.testbed.stages.configs.importing import ImportConfig
@@ -26,8 +25,9 @@ from novags.testbed.stages.configs.rendering import RenderConfig
 from novags.testbed.stages.importing import material_of
 from novags.testbed.stages.posing import photographs_of
 from novags.testbed.stages.rendering import scene_digest
+from novags.testbed.study.cells.grid import Cell, Study
+from novags.testbed.study.cells.presets import Preset
 from novags.testbed.study.entry import Task
-from novags.testbed.study.grid import Cell, Study
 from sensor_model.files.dng import SMALLEST
 from sensor_model.files.door import resolved
 from sensor_model.files.reading import brief

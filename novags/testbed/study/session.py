@@ -13,8 +13,8 @@ from typing import Any
 from novags.testbed.folders.experiment import EXPERIMENT
 from novags.testbed.folders.run import RECORD
 from novags.testbed.ledger.contents import jsonable, read_json, write_json
+from novags.testbed.study.cells.grid import Study
 from novags.testbed.study.conduct import STUDY
-from novags.testbed.study.grid import Study
 from novags.testbed.study.plan import Plan
 from novags.testbed.study.results import CSV, JSON, ROWS, place_of
 

@@ -3,7 +3,7 @@
 import heapq
 from collections.abc import Mapping, Sequence
 
-from novags.testbed.machine.memory import available_bytes
+from novags.testbed.console.memory import available_bytes
 from novags.testbed.study.costs import Cost, longest_after
 from novags.testbed.study.engines.choice import Engine
 from novags.testbed.study.engines.local import MARGIN

@@ -6,14 +6,14 @@ from pathlib import Path
 from typing import Any
 
 from novags.testbed import stages
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.folders import capture as captures
 from novags.testbed.folders import run as runs
 from novags.testbed.folders.set import for_photographs
-from novags.testbed.foreign.command import run_command
 from novags.testbed.knobs.measurement import MEASURED, measure
 from novags.testbed.ledger.code import code_of
 from novags.testbed.metrics.perceptual import PerceptualDistance
+from novags.testbed.stages.command import run_command
 from novags.testbed.stages.configs.command import CommandConfig
 from novags.testbed.stages.configs.importing import ImportConfig
 from novags.testbed.stages.configs.posing import PosesConfig
@@ -76,7 +76,7 @@ def depends(task: Task) -> dict[str, Any]:
         return {}
     return {
         "lpips": PerceptualDistance.missing() is None,
-        "scores": code_of("novags.testbed.stages.scoring", *for_photographs()).key,
+        "scores": code_of("novags.testbed.stages.scores.scoring", *for_photographs()).key,
     }
 
 

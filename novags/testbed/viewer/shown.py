@@ -11,11 +11,11 @@ from novags.methods.gaussian_scene import GaussianScene
 from novags.methods.memo import Memo
 from novags.methods.problem import encode
 from novags.methods.reconstruction import Scene
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import Capture
+from novags.testbed.folders.references import enhanced_dark, pictured
 from novags.testbed.folders.run import Run
 from novags.testbed.folders.set import Source, scaled_rig
-from novags.testbed.references import enhanced_dark, pictured
 from novags.testbed.report.place import runs_by_capture, title_of
 from novags.testbed.stages.capturing import measure_light
 from novags.testbed.stages.configs.capturing import CaptureConfig

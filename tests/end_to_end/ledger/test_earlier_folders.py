@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.folders.run import open_run
 from novags.testbed.viewer.splats import scene_of
 

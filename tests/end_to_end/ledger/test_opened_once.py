@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 
 from novags.testbed import stages
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.folders import capture as captures
 from novags.testbed.ledger import hashes
-from novags.testbed.presets import EXPERIMENTS, Preset, adapted
+from novags.testbed.study.cells.presets import EXPERIMENTS, Preset, adapted
 from novags.testbed.study.place import photograph
 
 COUNTED = ("set.json", "capture.json", "transforms.json")

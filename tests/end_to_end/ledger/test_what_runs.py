@@ -16,12 +16,12 @@ import pytest
 from numba.core.dispatcher import Dispatcher
 
 from novags.testbed import stages
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.ledger import stage
 from novags.testbed.ledger.reach import PACKAGES, is_outside, reached, source_of
-from novags.testbed.presets import EXPERIMENTS, adapted
 from novags.testbed.stages.configs.capturing import CaptureConfig
 from novags.testbed.stages.configs.importing import ImportConfig
+from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
 
 ROOT = Path(stage.__file__).resolve().parents[3]
 QUIET = Console(quiet=True)

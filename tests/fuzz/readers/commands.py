@@ -96,12 +96,12 @@ def _imports() -> None:
 @functools.cache
 def _leave_out_the_work() -> None:
     """In the child, since other readers need the stages."""
-    import novags.testbed.calibration_frames as frames
+    import novags.commands.answers.doctor as doctor
     import novags.testbed.folders.experiment as folders
-    import novags.testbed.forecast as forecast
-    import novags.testbed.machine.doctor as doctor
+    import novags.testbed.importing.calibration_frames as frames
     import novags.testbed.report.page as page
     import novags.testbed.report.place as place
+    import novags.testbed.stages.planning as forecast
     import novags.testbed.study.place as experiment
     from novags.commands import shared
     from novags.testbed import stages
@@ -121,7 +121,7 @@ def _leave_out_the_work() -> None:
     forecast.light_plan = lambda *a, **k: None
     forecast.sensor_plan = lambda *a, **k: ("", {})
     frames.characterise_folder = _refused
-    shared.console = lambda: __import__("novags.testbed.console", fromlist=["Console"]).Console(quiet=True)
+    shared.console = lambda: __import__("novags.testbed.console.terminal", fromlist=["Console"]).Console(quiet=True)
 
 
 def _refused(*_: Any, **__: Any) -> Any:

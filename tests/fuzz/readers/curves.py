@@ -39,7 +39,7 @@ def read_curves(folder: Path, file: Path) -> object:
 
 def make_state(folder: Path) -> None:
     from novags.testbed.budget.conduct import Request
-    from novags.testbed.presets import EXPERIMENTS
+    from novags.testbed.study.cells.presets import EXPERIMENTS
 
     state = {
         "request": Request(EXPERIMENTS["demo"], 60.0).identity(), "budget": 60.0, "trial": 9.0, "curves": "mine",
@@ -53,7 +53,7 @@ def read_state(folder: Path, file: Path) -> object:
     """As a budget does that was interrupted, and one that is done."""
     from novags.testbed.budget.conduct import Request, begun, result
     from novags.testbed.knobs.options import turned
-    from novags.testbed.presets import EXPERIMENTS
+    from novags.testbed.study.cells.presets import EXPERIMENTS
 
     request = Request(EXPERIMENTS["demo"], 60.0)
     if (state := begun(request, folder)) is None:

@@ -25,7 +25,7 @@ def make_renders(folder: Path) -> None:
 
 def read_renders(folder: Path, file: Path) -> object:
     """As `novags score --renders` does."""
-    from novags.testbed.foreign.pictures import find_renders, read_picture
+    from novags.testbed.importing.pictures import find_renders, read_picture
 
     found = find_renders(folder, ["eight", "sixteen", "alpha", "depth"]).files
     return {name: read_picture(path, SIZE[1], SIZE[0]) for name, path in found.items()}
@@ -48,7 +48,7 @@ def make_files(folder: Path) -> None:
 def read_file(folder: Path, file: Path) -> object:
     from novags.testbed.dataset.file import read_dataset
     from novags.testbed.dataset.make import splits
-    from novags.testbed.study.grid import read_study
+    from novags.testbed.study.cells.grid import read_study
 
     if file.name == "data.toml":
         found = read_dataset(file)
@@ -61,7 +61,7 @@ def _pictures() -> None:
     import OpenEXR  # noqa: F401
     import PIL.Image  # noqa: F401
 
-    import novags.testbed.foreign.pictures  # noqa: F401
+    import novags.testbed.importing.pictures  # noqa: F401
 
     cv2.setNumThreads(0)
 

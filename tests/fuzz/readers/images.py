@@ -28,7 +28,7 @@ def make_exr(folder: Path) -> None:
 
 
 def read_exr(folder: Path, file: Path) -> object:
-    from novags.testbed.folders.linear_photographs import _size
+    from novags.testbed.folders.photographs.linear import _size
     from simscenes.sets.pictures.exr import read_exr
 
     return _size(file), read_exr(file)
@@ -92,7 +92,7 @@ def make_jpeg(folder: Path) -> None:
 
 def read_picture(folder: Path, file: Path) -> object:
     """By every way in which a picture is read: as codes, as a photograph, and its size alone."""
-    from novags.testbed.calibration_frames import _read
+    from novags.testbed.importing.calibration_frames import _read
     from simscenes.rigs import Rig, intrinsics
     from simscenes.sets.multiview import MultiviewSet
     from simscenes.sets.pictures.png import read_codes
@@ -135,7 +135,7 @@ def make_dng(folder: Path) -> None:
 
 
 def read_dng(folder: Path, file: Path) -> object:
-    from novags.testbed.folders import raw_files
+    from novags.testbed.folders.photographs import raw_files
 
     ways = [raw_files.size, raw_files.read_digital_numbers, raw_files.read_radiance]
     if not file.name.startswith("three"):
@@ -155,13 +155,13 @@ def _images() -> None:
 def _exr() -> None:
     import OpenEXR  # noqa: F401
 
-    import novags.testbed.folders.linear_photographs  # noqa: F401
+    import novags.testbed.folders.photographs.linear  # noqa: F401
 
 
 def _raw() -> None:
     import rawpy  # noqa: F401
 
-    import novags.testbed.folders.raw_files  # noqa: F401
+    import novags.testbed.folders.photographs.raw_files  # noqa: F401
 
 
 READERS = [

@@ -42,7 +42,7 @@ def make_photographs(folder: Path) -> None:
 
 def import_whole(folder: Path, file: Path) -> object:
     """By the command's own stage, whatever was damaged."""
-    from novags.testbed.console import Console
+    from novags.testbed.console.terminal import Console
     from novags.testbed.stages.configs.importing import ImportConfig
     from novags.testbed.stages.importing import import_photographs
 
@@ -59,7 +59,7 @@ def import_whole(folder: Path, file: Path) -> object:
 
 
 def make_imported(folder: Path) -> None:
-    from novags.testbed.console import Console
+    from novags.testbed.console.terminal import Console
     from novags.testbed.stages.configs.importing import ImportConfig
     from novags.testbed.stages.importing import import_photographs
 
@@ -71,7 +71,7 @@ def make_imported(folder: Path) -> None:
 
 def read_imported(folder: Path, file: Path) -> object:
     """As reconstruct and score do."""
-    from novags.testbed.console import Console
+    from novags.testbed.console.terminal import Console
     from novags.testbed.folders.capture import open_capture
 
     capture = open_capture(folder / "cap")

@@ -72,7 +72,7 @@ def make_video(folder: Path) -> None:
 
 
 def read_video(folder: Path, file: Path) -> object:
-    from novags.testbed.folders.video import write_frames
+    from novags.testbed.folders.photographs.video import write_frames
 
     with tempfile.TemporaryDirectory() as frames:
         write_frames(file, 4.0, Path(frames), lambda *_: None)
@@ -89,7 +89,7 @@ def _sets() -> None:
 def _pictures() -> None:
     import cv2
 
-    import novags.testbed.folders.video  # noqa: F401
+    import novags.testbed.folders.photographs.video  # noqa: F401
     import simscenes.sets.readers.bare  # noqa: F401
 
     cv2.setNumThreads(0)

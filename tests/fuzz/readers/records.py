@@ -56,7 +56,7 @@ def make_set(folder: Path) -> None:
 
 def read_set(folder: Path, file: Path) -> object:
     """As capture and render do."""
-    from novags.testbed.console import Console
+    from novags.testbed.console.terminal import Console
     from novags.testbed.folders.set import open_source
     from simscenes.job.identity import is_complete, seconds_spent
 
@@ -66,7 +66,7 @@ def read_set(folder: Path, file: Path) -> object:
 
 
 def make_capture(folder: Path) -> None:
-    from novags.testbed.console import Console
+    from novags.testbed.console.terminal import Console
     from novags.testbed.stages import capture
     from novags.testbed.stages.configs.capturing import CaptureConfig
 
@@ -76,7 +76,7 @@ def make_capture(folder: Path) -> None:
 
 
 def read_capture(folder: Path, file: Path) -> object:
-    from novags.testbed.console import Console
+    from novags.testbed.console.terminal import Console
     from novags.testbed.folders.capture import open_capture
 
     capture = open_capture(folder / "capture")
@@ -130,10 +130,10 @@ def make_run(folder: Path) -> None:
 
 def read_experiment(folder: Path, file: Path) -> object:
     """As score and report do before they compute."""
-    from novags.testbed.console import Console
+    from novags.testbed.console.terminal import Console
     from novags.testbed.folders.experiment import find_runs
     from novags.testbed.report.place import read_place
-    from novags.testbed.stages.scoring import merge, stage_seconds
+    from novags.testbed.stages.scores.scoring import merge, stage_seconds
 
     quiet = Console(quiet=True)
     place = read_place(folder, quiet)
@@ -160,7 +160,7 @@ def make_viewed(folder: Path) -> None:
 
 def read_viewed(folder: Path, file: Path) -> object:
     """As the viewer does."""
-    from novags.testbed.console import Console
+    from novags.testbed.console.terminal import Console
     from novags.testbed.viewer.shown import shown_of
     from novags.testbed.viewer.world import true_from
 
@@ -172,7 +172,7 @@ def read_viewed(folder: Path, file: Path) -> object:
 
 
 def read_unfinished(folder: Path, file: Path) -> None:
-    from novags.testbed.console import Console
+    from novags.testbed.console.terminal import Console
     from novags.testbed.ledger.code import Code
     from novags.testbed.ledger.stage import run_stage
 

@@ -58,7 +58,7 @@ pictures = "16bit"
 
 def read_variants(folder: Path, file: Path) -> object:
     from novags.methods.variant import read_variants
-    from novags.testbed.presets import EXPERIMENTS, adapted
+    from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
 
     return adapted(EXPERIMENTS["demo"], variants=tuple(read_variants(file)))
 
@@ -83,7 +83,7 @@ def make_frames(folder: Path) -> None:
 
 
 def read_frames(folder: Path, file: Path) -> object:
-    from novags.testbed.calibration_frames import read_frames
+    from novags.testbed.importing.calibration_frames import read_frames
 
     return read_frames(folder)
 
@@ -105,7 +105,7 @@ def make_transforms(folder: Path) -> None:
 
 
 def read_transforms(folder: Path, file: Path) -> object:
-    from novags.testbed.console import Console
+    from novags.testbed.console.terminal import Console
     from novags.testbed.folders.set import open_source
 
     source = open_source(folder, Console(quiet=True))
@@ -128,7 +128,7 @@ def _frames() -> None:
     import cv2  # noqa: F401
     from PIL import Image  # noqa: F401
 
-    import novags.testbed.calibration_frames  # noqa: F401
+    import novags.testbed.importing.calibration_frames  # noqa: F401
 
 
 def _sets() -> None:

@@ -15,9 +15,9 @@ from scipy.spatial.transform import Rotation
 from novags.cameras.align import align
 from novags.cameras.motion.registration import Observed, Registered, pairs_of
 from novags.testbed import stages
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
+from novags.testbed.folders.photographs.video import write_frames
 from novags.testbed.folders.set import open_source
-from novags.testbed.folders.video import write_frames
 from novags.testbed.ledger.contents import folder_digest
 from novags.testbed.stages import posing
 from novags.testbed.stages.configs.posing import PosesConfig

@@ -17,10 +17,10 @@ from novags.methods.reconstruction import Reconstruction
 from novags.methods.variant import Method, parse_variant
 from novags.splats import Views
 from novags.testbed import stages
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.ledger.contents import read_json
-from novags.testbed.presets import EXPERIMENTS, adapted
 from novags.testbed.report.page import write_report
+from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
 from novags.testbed.study.place import run
 from sensor_model.files.registry import Later
 from simscenes import read_exr

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from novags.methods import METHODS, chosen
-from novags.testbed.machine.devices import has_gsplat
+from novags.testbed.console.devices import has_gsplat
 
 WORKS = torch.cuda.is_available() and has_gsplat()
 SHORT = {

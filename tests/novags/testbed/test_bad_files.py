@@ -13,16 +13,16 @@ import numpy as np
 import pytest
 
 from novags.testbed import stages
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.folders import shapes
 from novags.testbed.folders.capture import open_capture
 from novags.testbed.folders.run import open_run
 from novags.testbed.folders.set import open_source
 from novags.testbed.ledger.contents import read_json
-from novags.testbed.presets import EXPERIMENTS, adapted
 from novags.testbed.report.rows import deviations, rows_of
 from novags.testbed.stages.configs.capturing import CaptureConfig
-from novags.testbed.stages.scoring import merge
+from novags.testbed.stages.scores.scoring import merge
+from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
 from simscenes import orbit_rig
 from simscenes.sets.multiview import load_set, write_cameras
 from tests.miniatures import unsealed
@@ -198,7 +198,7 @@ def test_truth_that_lacks_a_channel_or_has_another_size_is_refused_by_name(line:
 
 def test_small_faults_that_only_many_damaged_files_show(tmp_path: Path) -> None:
     """Rationale: each was found by `python -m tests.fuzz`, in records that looked right but for one value."""
-    from novags.testbed.console import Console
+    from novags.testbed.console.terminal import Console
     from novags.testbed.folders.experiment import find_runs
     from novags.testbed.folders.run import Run
     from novags.testbed.ledger.code import Code

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from novags import cli
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.ledger.contents import read_json
 from novags.testbed.metrics.images import aligned_psnr, image_scores, psnr, ssim
 from novags.testbed.metrics.linear import is_black
 from novags.testbed.metrics.tone import CONTRAST, affine_aligned, tone_aligned, with_contrast
-from novags.testbed.presets import EXPERIMENTS, adapted
 from novags.testbed.report.page import write_report
-from novags.testbed.stages.scoring import recovered_fractions
+from novags.testbed.stages.scores.scoring import recovered_fractions
+from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
 from novags.testbed.study.place import run
 
 ALIGNED = ("aligned_psnr", "tone_aligned_psnr", "aligned_ssim", "tone_aligned_ssim")

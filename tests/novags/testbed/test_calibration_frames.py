@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from novags.testbed.calibration_frames import characterise_folder, read_frames
+from novags.testbed.importing.calibration_frames import characterise_folder, read_frames
 from sensor_model import PRESETS, Exposure, Sensor, expose, mosaic, read_sensor, write_dng
 
 MONO = Sensor(

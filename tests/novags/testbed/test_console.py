@@ -7,7 +7,7 @@ import pytest
 
 from novags.commands.shared import next_, say
 from novags.failure import errors_in_one_line
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.study.engines.progress import StudyProgress
 
 NAME = "a\x1b]0;title\x07\x1b[2J\u202eb\x9b1m\rc[red]"

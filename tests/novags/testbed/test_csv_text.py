@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from novags.testbed.csv_text import as_csv, text_of
+from novags.testbed.console.csv_text import as_csv, text_of
 from novags.testbed.dataset.publish import write_index
 from novags.testbed.report.blocks import light
 

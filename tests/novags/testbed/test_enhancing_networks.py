@@ -10,11 +10,11 @@ import torch
 from novags.methods.enhancers.sci import Sci
 from novags.methods.variant import parse_variant
 from novags.testbed import stages
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
+from novags.testbed.folders.references import enhanced_dark
 from novags.testbed.folders.run import open_run
 from novags.testbed.ledger.contents import read_json
-from novags.testbed.presets import EXPERIMENTS, adapted
-from novags.testbed.references import enhanced_dark
+from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
 from simscenes.sets.pictures.png import read_png
 
 QUIET = Console(quiet=True)

@@ -6,14 +6,14 @@ import pytest
 import torch
 
 from novags.cameras import SOURCES
+from novags.commands.answers.catalogue import LISTS, first_sentence, listing
+from novags.commands.answers.topics import page, topics
 from novags.methods import METHODS, VARIANTS
-from novags.testbed.console import Console
-from novags.testbed.help.catalogue import LISTS, first_sentence, listing
-from novags.testbed.help.topics import page, topics
-from novags.testbed.levels import LEVELS
-from novags.testbed.machine import devices
-from novags.testbed.machine.devices import chosen_device
-from novags.testbed.presets import EXPERIMENTS
+from novags.testbed.console import devices
+from novags.testbed.console.devices import chosen_device
+from novags.testbed.console.terminal import Console
+from novags.testbed.study.cells.levels import LEVELS
+from novags.testbed.study.cells.presets import EXPERIMENTS
 from sensor_model import PRESETS as SENSORS
 from simscenes import SCENES
 

@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from novags.testbed.help.catalogue import listing
-from novags.testbed.levels import LEVELS, level_named
-from novags.testbed.presets import EXPERIMENTS, adapted
+from novags.commands.answers.catalogue import listing
 from novags.testbed.stages.capturing import expose_view
-from novags.testbed.study.grid import read_study
+from novags.testbed.study.cells.grid import read_study
+from novags.testbed.study.cells.levels import LEVELS, level_named
+from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
 from novags.testing.making import make_capture
 from sensor_model import (
     PRESETS,

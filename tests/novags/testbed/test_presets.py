@@ -17,11 +17,11 @@ from novags.methods.nova.config import NovaConfig
 from novags.methods.variant import parse_variant
 from novags.settings import flattened
 from novags.splats import FitConfig
-from novags.testbed.console import Console, losses_text
-from novags.testbed.machine import provenance
-from novags.testbed.presets import EXPERIMENTS, Preset, adapted
+from novags.testbed.console import provenance
+from novags.testbed.console.terminal import Console, losses_text
 from novags.testbed.stages.configs.capturing import CaptureConfig
 from novags.testbed.stages.configs.rendering import RenderConfig
+from novags.testbed.study.cells.presets import EXPERIMENTS, Preset, adapted
 from novags.testbed.study.place import run
 
 
@@ -103,11 +103,11 @@ def test_a_render_and_its_record_take_no_torch(tmp_path: Path) -> None:
     """Torch takes seconds to load; a machine without the driver of a GPU has none."""
     code = (
         "import sys\n"
-        "from novags.testbed.machine import provenance\n"
+        "from novags.testbed.console import provenance\n"
         f"provenance.DRIVERS = ({str(tmp_path / 'no driver')!r},)\n"
         "from pathlib import Path\n"
         "from novags.testbed import stages\n"
-        "from novags.testbed.console import Console\n"
+        "from novags.testbed.console.terminal import Console\n"
         "from novags.testbed.stages.rendering import RenderConfig\n"
         "config = RenderConfig(scene='hall', n_views=3, width=16, height=16, spp=2)\n"
         f"stages.render(Path({str(tmp_path / 'set')!r}), config, Console())\n"
@@ -167,7 +167,7 @@ def test_peak_memory_sees_a_large_array_and_forgets_it() -> None:
     """In a process of its own: what other tests have freed goes back to the system when it likes."""
     size = 200_000_000
     code = (
-        "from novags.testbed.machine.provenance import PeakMemory as P\n"
+        "from novags.testbed.console.provenance import PeakMemory as P\n"
         f"print(P().peak_bytes()); p = P(); b = bytearray(b'1') * {size}\n"
         "print(p.peak_bytes()); del b; print(P().peak_bytes())"
     )

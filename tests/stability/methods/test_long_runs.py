@@ -10,7 +10,7 @@ import torch
 
 from novags.methods import METHODS, chosen
 from novags.splats.training.fit import LOG_EVERY
-from novags.testbed.presets import EXPERIMENTS
+from novags.testbed.study.cells.presets import EXPERIMENTS
 from tests.stability.case import Case, Error, Part, Setting
 from tests.stability.wall import problem
 

@@ -7,7 +7,7 @@ transforms.json or poses_bounds.npy (LLFF).
 import os
 from pathlib import Path
 
-from novags.testbed.folders.linear_photographs import load_linear_set
+from novags.testbed.folders.photographs.linear import load_linear_set
 from novags.testbed.importing.split import Split
 from sensor_model.files.door import resolved
 from simscenes.sets.multiview import MultiviewSet, load_photographs

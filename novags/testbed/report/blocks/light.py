@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from novags.testbed.csv_text import as_csv
+from novags.testbed.console.csv_text import as_csv
 from novags.testbed.ledger.contents import write_json
 from novags.testbed.report.level_chart import Line, alone, level_chart
 from novags.testbed.report.material import Material

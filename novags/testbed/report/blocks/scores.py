@@ -12,7 +12,7 @@ from novags.testbed.report.place import MAIN, Place
 from novags.testbed.report.tables import COLUMNS, digits, per_view
 from novags.testbed.report.verdict import table_of
 from novags.testbed.report.words import named, number, share, signed
-from novags.testbed.stages.scoring import bounds_of
+from novags.testbed.stages.scores.scoring import bounds_of
 from novags.testbed.study.light import METHOD
 from novags.testbed.study.results import CSV
 from sensor_model.files.door import resolved

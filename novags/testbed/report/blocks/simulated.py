@@ -5,7 +5,7 @@ from typing import Any
 
 from markupsafe import Markup
 
-from novags.testbed.folders.linear_photographs import LinearPhotographs
+from novags.testbed.folders.photographs.linear import LinearPhotographs
 from novags.testbed.report.material import Material, Place
 from novags.testbed.report.parts import Page, Table, TableRow, heads, num
 from novags.testbed.report.words import join, number

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from novags.methods.problem import encode
+from novags.testbed.folders.references import LINEAR, enhanced_dark, pictured, references
 from novags.testbed.folders.run import Run
-from novags.testbed.references import LINEAR, enhanced_dark, pictured, references
 from novags.testbed.report.look.album import Album, Picture, Script
 from novags.testbed.report.look.maps import depth_map, error_map, normal_map, normals_of_depth
 from novags.testbed.report.look.probe import probe_of

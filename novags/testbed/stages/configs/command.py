@@ -14,7 +14,7 @@ from novags.methods import METHODS, VARIANTS
 from novags.methods.variant import Variant
 from novags.settings import converted
 from novags.testbed.folders.set import for_photographs
-from novags.testbed.foreign.process import output_of
+from novags.testbed.importing.programs import output_of
 from novags.testbed.ledger.code import Code, code_of
 from novags.testbed.ledger.contents import folder_digest
 from sensor_model.files.door import opened, resolved
@@ -105,7 +105,7 @@ class CommandConfig:
     @property
     def code(self) -> Code:
         """What runs the program and keeps its pictures."""
-        return code_of("novags.testbed.foreign.command", *for_photographs())
+        return code_of("novags.testbed.stages.command", *for_photographs())
 
     def resolved(self) -> dict[str, Any]:
         """What determines the pictures: the command and the content of the files that it names, not where they lie."""

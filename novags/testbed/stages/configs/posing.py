@@ -9,8 +9,8 @@ import numpy as np
 from novags.cameras.settings import FEATURES
 from novags.numbers import SIDE, check_range
 from novags.settings import check_seed
+from novags.testbed.folders.photographs.video import is_video
 from novags.testbed.folders.set import for_photographs
-from novags.testbed.folders.video import is_video
 from novags.testbed.ledger.code import Code, code_of
 from sensor_model.files.door import resolved
 

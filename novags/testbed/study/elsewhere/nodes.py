@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.folders.run import METRICS
 from novags.testbed.ledger.source import hashed
 from novags.testbed.ledger.store import SEAL, Seal, read_seal

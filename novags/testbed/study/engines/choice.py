@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
+from novags.testbed.console.cores import cores_here
 from novags.testbed.ledger.store import KINDS
-from novags.testbed.machine.cores import cores_here
 from novags.testbed.study.costs import Costs
 from novags.testbed.study.elsewhere import nodes
 from novags.testbed.study.engines.cluster import Cluster, Terms

@@ -3,9 +3,9 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from novags.testbed.console import Console
+from novags.testbed.console.cores import cores_here
+from novags.testbed.console.terminal import Console
 from novags.testbed.ledger.store import KINDS
-from novags.testbed.machine.cores import cores_here
 from novags.testbed.study.engines.choice import Work
 from novags.testbed.study.engines.processes import TASKS
 from novags.testbed.study.engines.queue import Queue

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from multiprocessing.connection import wait
 from typing import Any
 
-from novags.testbed.machine.memory import available_bytes
+from novags.testbed.console.memory import available_bytes
 from novags.testbed.study.engines.processes import Worker
 from novags.testbed.study.engines.queue import Job, Queue, Watcher, lateness
 from novags.testbed.study.engines.worker import Outcome

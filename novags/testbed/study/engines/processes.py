@@ -10,8 +10,8 @@ from multiprocessing.connection import Connection
 from signal import Signals
 from typing import Any
 
-from novags.testbed.machine.cores import cores_here
-from novags.testbed.machine.memory import resident_bytes
+from novags.testbed.console.cores import cores_here
+from novags.testbed.console.memory import resident_bytes
 from sensor_model.files.python import python
 
 TASKS = "novags.testbed.study.steps:make"  # what the workers of a study do

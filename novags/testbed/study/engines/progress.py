@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from rich.console import Console as RichConsole
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
-from novags.testbed.console import Console, shown
+from novags.testbed.console.terminal import Console, shown
 
 PLAIN_INTERVAL = 15.0  # s between two plain lines
 At = tuple[str, int, int, str]  # stage, steps done, steps in all, what

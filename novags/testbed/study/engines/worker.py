@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from novags.process import settle
-from novags.testbed.console import Console, Update
+from novags.testbed.console.terminal import Console, Update
 from sensor_model.files.door import descriptor_of_our_own
 from sensor_model.files.reading import brief
 from sensor_model.files.registry import loaded

@@ -14,10 +14,10 @@ from novags.methods import METHODS, chosen
 from novags.methods.inputs import LacksInput
 from novags.methods.problem import Problem
 from novags.testbed import stages
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import open_capture
-from novags.testbed.presets import EXPERIMENTS, adapted
 from novags.testbed.stages.reconstructing import prepare
+from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
 from simscenes import read_exr
 
 QUIET = Console(quiet=True)

@@ -16,8 +16,8 @@ from novags.methods.enhancers.applying import enhanced_twin
 from novags.methods.memo import Memo
 from novags.methods.variant import parse_variant
 from novags.testbed import stages
-from novags.testbed.console import Console
-from novags.testbed.presets import EXPERIMENTS, adapted
+from novags.testbed.console.terminal import Console
+from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
 from sensor_model import linear_to_srgb
 from sensor_model.files.registry import loaded
 

@@ -17,7 +17,7 @@ from novags.methods.nova.denoiser_config import DenoiserConfig, ResUNetConfig
 from novags.methods.nova.trainer import _Training, train
 from novags.splats import FitConfig
 from novags.splats.training.fit import Step
-from novags.testbed.presets import EXPERIMENTS
+from novags.testbed.study.cells.presets import EXPERIMENTS
 
 DENOISER = DenoiserConfig(
     network=ResUNetConfig(widths=(4,), bottleneck=6, normalization="none"),

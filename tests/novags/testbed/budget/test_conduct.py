@@ -13,9 +13,9 @@ from novags.testbed.budget.choice import Option
 from novags.testbed.budget.conduct import Request
 from novags.testbed.budget.known import Known
 from novags.testbed.budget.trial import Forecast, OutOfTime
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.ledger.contents import jsonable
-from novags.testbed.presets import EXPERIMENTS, Preset, adapted
+from novags.testbed.study.cells.presets import EXPERIMENTS, Preset, adapted
 
 LOSSES = ((0.25, 2.0, 0.3), (0.5, 0.8, 0.4), (1.0, 0.0, 0.0))
 OPTIONS = {

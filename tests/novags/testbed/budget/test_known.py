@@ -9,10 +9,10 @@ import pytest
 from novags.methods import METHODS
 from novags.testbed.budget import known as module
 from novags.testbed.budget.known import SHIPPED, known, options_of
+from novags.testbed.console.provenance import hardware
 from novags.testbed.ledger.contents import jsonable
-from novags.testbed.machine.provenance import hardware
 from novags.testbed.pareto.curve import read_curves
-from novags.testbed.presets import EXPERIMENTS
+from novags.testbed.study.cells.presets import EXPERIMENTS
 
 HERE = jsonable(hardware())
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.dataset.file import DatasetConfig, read_dataset
 from novags.testbed.dataset.make import splits
 from novags.testbed.dataset.splits import splits_of

@@ -23,13 +23,13 @@ sys.path.insert(0, str(ROOT))  # where pytest is started by itself and not as a 
 from novags import cli  # noqa: E402
 from novags.cameras.estimate import centers_of  # noqa: E402
 from novags.splats import Gaussians, Views, rasterize, write_ply  # noqa: E402
-from novags.testbed.console import Console  # noqa: E402
+from novags.testbed.console.terminal import Console  # noqa: E402
 from novags.testbed.flight import video  # noqa: E402
 from novags.testbed.flight.film import film  # noqa: E402
 from novags.testbed.flight.panels import BAR, Panel, frame  # noqa: E402
 from novags.testbed.flight.path import distances, fly, paced, shorter_order  # noqa: E402
+from novags.testbed.folders.references import references  # noqa: E402
 from novags.testbed.folders.run import open_run  # noqa: E402
-from novags.testbed.references import references  # noqa: E402
 from novags.testbed.stages.camera_source import viewer_cameras  # noqa: E402
 from simscenes.rigs import orbit_rig  # noqa: E402
 from tests.fuzz.readers.records import make_run  # noqa: E402

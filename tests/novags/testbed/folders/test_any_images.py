@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from novags.testbed import stages
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import open_capture
-from novags.testbed.folders.linear_photographs import load_linear_set
+from novags.testbed.folders.photographs.linear import load_linear_set
 from novags.testbed.folders.set import open_source
 from novags.testbed.stages.capturing import QUANTILES, measure_light
 from novags.testbed.stages.configs.capturing import CaptureConfig

@@ -5,11 +5,11 @@ from pathlib import Path
 import pytest
 
 from novags.testbed import stages
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import open_capture
 from novags.testbed.folders.place import MOVED, keep_place, place_of
 from novags.testbed.folders.run import open_run
-from novags.testbed.presets import EXPERIMENTS, adapted
+from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
 
 QUIET = Console(quiet=True)
 TINY = {"scene": "cornell", "n_views": 9, "width": 24, "height": 24, "spp": 8, "points": 50, "iterations": 4}

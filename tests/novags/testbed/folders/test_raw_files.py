@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import rawpy
 
-from novags.testbed.folders.raw_files import read_digital_numbers, read_format, read_mosaic, read_radiance
+from novags.testbed.folders.photographs.raw_files import read_digital_numbers, read_format, read_mosaic, read_radiance
 from sensor_model import PRESETS, Exposure, Sensor, write_dng
 
 CAMERA = PRESETS["imx900-hcg"]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from novags.testbed import stages
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.stages.configs.capturing import CaptureConfig
 from simscenes import orbit_rig
 from simscenes.sets.multiview import write_cameras

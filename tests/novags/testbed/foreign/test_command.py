@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 
 from novags.testbed import stages
-from novags.testbed.console import Console
-from novags.testbed.foreign.command import run_command
-from novags.testbed.foreign.nerfbaselines import checksum, encoded, export_results
-from novags.testbed.foreign.process import output_of, run_program
+from novags.testbed.console.terminal import Console
+from novags.testbed.dataset.nerfbaselines import checksum, encoded, export_results
+from novags.testbed.importing.programs import output_of, run_program
+from novags.testbed.stages.command import run_command
 from novags.testbed.stages.configs.capturing import CaptureConfig
 from novags.testbed.stages.configs.command import CommandConfig, read_commands
 from simscenes.sets.pictures.exr import read_exr

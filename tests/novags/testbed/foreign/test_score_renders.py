@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 import pytest
 
-from novags.testbed.console import Console
-from novags.testbed.foreign.pictures import read_picture
-from novags.testbed.foreign.score import Truth, score_renders
+from novags.testbed.console.terminal import Console
+from novags.testbed.importing.pictures import read_picture
 from novags.testbed.metrics.images import image_scores
+from novags.testbed.stages.scores.foreign import Truth, score_renders
 from sensor_model import srgb_to_linear
 from simscenes import orbit_rig
 from simscenes.sets.multiview import write_cameras

@@ -12,8 +12,8 @@ from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 
 from novags.testbed import stages
-from novags.testbed.console import Console
-from novags.testbed.folders.raw_files import read_digital_numbers
+from novags.testbed.console.terminal import Console
+from novags.testbed.folders.photographs.raw_files import read_digital_numbers
 from novags.testbed.importing.exposures import check_exposed_alike, stated_of
 from novags.testbed.importing.raw_camera import raw_camera
 from novags.testbed.importing.stored import is_lossy

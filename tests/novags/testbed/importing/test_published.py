@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from novags.testbed import stages
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.importing.published.datasets import dataset_of, scenes_below
 from novags.testbed.stages.configs.importing import ImportConfig

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.importing.twins import twins_of
 from simscenes.sets.multiview import MultiviewSet, load_set
 from simscenes.sets.pictures.png import write_png

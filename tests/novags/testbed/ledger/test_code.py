@@ -38,7 +38,7 @@ from simscenes.scenes import SCENES
 
 keys = {f"scene {name}": RenderConfig(scene=name).code.key for name in SCENES}
 keys |= {name: ReconstructConfig(variant=chosen(name)).code.key for name in (*METHODS, *VARIANTS)}
-keys |= {"capture": CaptureConfig().code.key, "score": code_of("novags.testbed.stages.scoring").key}
+keys |= {"capture": CaptureConfig().code.key, "score": code_of("novags.testbed.stages.scores.scoring").key}
 keys["capture with layouts"] = CaptureConfig(export=("llff",)).code.key
 keys["import"] = ImportConfig().code.key
 keys["capture of photographs"] = CaptureConfig().code.along_with(for_photographs()).key
@@ -105,7 +105,7 @@ def test_a_constant_of_what_methods_share_makes_the_runs_of_all_that_use_it_agai
 
 def test_a_constant_of_a_score_makes_scores_again_and_no_fit(edit: Edit) -> None:
     assert edit("novags/testbed/metrics/tone.py", "CONTRAST = 1 / 255", "CONTRAST = 2 / 255") == {"score"}
-    assert edit("novags/testbed/stages/scoring.py", "BLUR_SIGMA = 1.2", "BLUR_SIGMA = 1.3") == {"score"}
+    assert edit("novags/testbed/stages/scores/scoring.py", "BLUR_SIGMA = 1.2", "BLUR_SIGMA = 1.3") == {"score"}
 
 
 def test_a_constant_of_a_scene_makes_that_scene_again(edit: Edit) -> None:
@@ -116,7 +116,7 @@ def test_a_constant_of_a_scene_makes_that_scene_again(edit: Edit) -> None:
     ("file", "text", "other"),
     [
         ("novags/testbed/report/charts.py", '"""', '"""It was: '),
-        ("novags/testbed/console.py", "PLAIN_INTERVAL = 5.0", "PLAIN_INTERVAL = 6.0"),
+        ("novags/testbed/console/terminal.py", "PLAIN_INTERVAL = 5.0", "PLAIN_INTERVAL = 6.0"),
         ("sensor_model/files/lock.py", "COMMAND_LENGTH = 160", "COMMAND_LENGTH = 161"),
         ("sensor_model/presets.py", "(0.55, 1.0, 0.65)", "(0.55, 1.0, 0.66)"),
         ("novags/commands/results.py", "import", "import"),
@@ -147,7 +147,7 @@ def test_a_further_layout_counts_where_it_is_written(edit: Edit) -> None:
     ("file", "text", "other"),
     [
         ("simscenes/sets/readers/llff.py", "SHOWN = 3", "SHOWN = 4"),
-        ("novags/testbed/folders/linear_photographs.py", "WHITE_QUANTILE = 0.99", "WHITE_QUANTILE = 0.98"),
+        ("novags/testbed/folders/photographs/linear.py", "WHITE_QUANTILE = 0.99", "WHITE_QUANTILE = 0.98"),
         ("novags/methods/noise_estimate.py", "BINS = 16", "BINS = 17"),
     ],
 )

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.ledger.code import Code
 from novags.testbed.ledger.made import made_with
 from novags.testbed.ledger.same import SAME, remember, sharing

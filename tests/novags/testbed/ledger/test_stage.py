@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 import torch
 
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.ledger import stage as stages
 from novags.testbed.ledger.code import Code
 from novags.testbed.ledger.contents import UNFINISHED, checksum, read_json, refuse_damage, write_json

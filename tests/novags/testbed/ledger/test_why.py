@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.ledger import stage as stages
 from novags.testbed.ledger.code import Code
 from novags.testbed.ledger.contents import write_json

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.knobs import subjects
 from novags.testbed.knobs.knob import Knob, Measured, Setting, Subject
 from novags.testbed.pareto import study
@@ -28,7 +28,7 @@ class Made:
     folder: Path
     stop_at: int | None = None
     asked: list[tuple[str, Setting, int]] = field(default_factory=list)
-    modules: tuple[str, ...] = ("novags.testbed.levels",)
+    modules: tuple[str, ...] = ("novags.testbed.study.cells.levels",)
     fails: tuple[str, Setting] | None = None
     before: Callable[[], None] = lambda: None
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.knobs import measurement
 from novags.testbed.knobs.subjects import sizes_of
 from novags.testbed.pareto.curve import curves
@@ -165,7 +165,7 @@ def test_the_time_left_is_foretold_by_the_same_setting_then_by_the_same_subject(
 
 
 def test_a_measurement_has_the_machine_to_itself() -> None:
-    from novags.testbed.machine.cores import cores_here
+    from novags.testbed.console.cores import cores_here
 
     assert (OneMachine.whole().places, OneMachine.whole().cores) == (1, cores_here())
 

@@ -18,7 +18,7 @@ from novags.testbed.knobs.subjects import chosen, subject_of, subjects
 from novags.testbed.pareto.curve import read_curves
 from novags.testbed.pareto.measuring import measurements_of
 from novags.testbed.pareto.study import STUDIES
-from novags.testbed.presets import EXPERIMENTS, adapted
+from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
 from sensor_model.files.toml_file import read_toml
 
 HERE = Path("here")

@@ -14,12 +14,12 @@ sys.path.insert(0, str(ROOT))  # where pytest is started by itself and not as a 
 
 from novags.methods.variant import Variant  # noqa: E402
 from novags.testbed import stages  # noqa: E402
-from novags.testbed.console import Console  # noqa: E402
+from novags.testbed.console.terminal import Console  # noqa: E402
 from novags.testbed.folders.capture import open_capture  # noqa: E402
 from novags.testbed.ledger.contents import jsonable  # noqa: E402
-from novags.testbed.presets import EXPERIMENTS, adapted  # noqa: E402
 from novags.testbed.report.page import write_report  # noqa: E402
 from novags.testbed.stages.configs.capturing import CaptureConfig  # noqa: E402
+from novags.testbed.study.cells.presets import EXPERIMENTS, adapted  # noqa: E402
 from tests.fuzz.readers.records import STAGE, make_run  # noqa: E402
 
 QUIET = Console(quiet=True)

@@ -14,9 +14,9 @@ from novags.methods.variant import parse_variant
 from novags.testbed import stages
 from novags.testbed.folders.run import Run
 from novags.testbed.ledger.contents import jsonable
-from novags.testbed.presets import EXPERIMENTS, adapted
 from novags.testbed.report.again import relative_command, run_again
 from novags.testbed.stages.configs.reconstructing import ReconstructConfig
+from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
 
 
 def made(folder: Path, config: ReconstructConfig) -> Run:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.report import page
 from novags.testbed.report.blocks.cost import costs
 from novags.testbed.report.material import Material, material_of

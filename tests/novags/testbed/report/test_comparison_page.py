@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from novags.testbed import stages
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import open_capture
 from novags.testbed.ledger.dry import dry_run
 from novags.testbed.report.material import titles

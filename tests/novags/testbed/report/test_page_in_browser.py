@@ -15,7 +15,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[4]
 sys.path.insert(0, str(ROOT))  # where pytest is started by itself and not as a module
 
-from novags.testbed.console import Console  # noqa: E402
+from novags.testbed.console.terminal import Console  # noqa: E402
 from novags.testbed.folders.capture import open_capture  # noqa: E402
 from novags.testbed.folders.run import open_run  # noqa: E402
 from novags.testbed.report.again import run_again  # noqa: E402

@@ -20,9 +20,9 @@ ROOT = Path(__file__).resolve().parents[4]
 sys.path.insert(0, str(ROOT))  # where pytest is started by itself and not as a module
 
 from novags.testbed import stages  # noqa: E402
-from novags.testbed.console import Console  # noqa: E402
-from novags.testbed.exposures import exposures_of  # noqa: E402
+from novags.testbed.console.terminal import Console  # noqa: E402
 from novags.testbed.folders.capture import Capture, open_capture  # noqa: E402
+from novags.testbed.folders.exposures import exposures_of  # noqa: E402
 from novags.testbed.report.blocks.signal import _chart, by_filter, histogram  # noqa: E402
 from novags.testbed.report.look.album import Album, files_of  # noqa: E402
 from novags.testbed.report.look.maps import colour_map, normal_map, normals_of_depth  # noqa: E402

@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 
 from novags.methods.problem import encode
-from novags.testbed.exposures import Exposures
+from novags.testbed.folders.exposures import Exposures
 from novags.testbed.report.blocks.training import fits, smoothed
 from novags.testbed.report.charts import line_chart, log_ticks, ticks
 from novags.testbed.report.look.maps import ERROR_CEILING, depth_map, error_map
 from novags.testbed.report.tables import COLUMNS, ranked, scores_of
 from novags.testbed.report.words import duration, join, number, signed, size
-from novags.testbed.stages import scoring
-from novags.testbed.stages.scoring import merge, recovered_fractions
+from novags.testbed.stages.scores import scoring
+from novags.testbed.stages.scores.scoring import merge, recovered_fractions
 
 
 def method(value: float, **others: Any) -> dict[str, Any]:

@@ -11,7 +11,7 @@ ROOT = Path(__file__).resolve().parents[4]
 sys.path.insert(0, str(ROOT))  # where pytest is started by itself and not as a module
 
 from novags.testbed import stages  # noqa: E402
-from novags.testbed.console import Console  # noqa: E402
+from novags.testbed.console.terminal import Console  # noqa: E402
 from novags.testbed.folders.experiment import gather  # noqa: E402
 from novags.testbed.report.page import write_reports  # noqa: E402
 from novags.testbed.report.place import places_in  # noqa: E402

@@ -13,13 +13,13 @@ from novags.cameras.estimating import estimate_cameras
 from novags.cameras.sources.known import KnownConfig
 from novags.splats import Gaussians, rasterize
 from novags.testbed import stages
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import Capture, open_capture
-from novags.testbed.presets import EXPERIMENTS, adapted
 from novags.testbed.stages import camera_source
 from novags.testbed.stages.camera_source import Frame, cameras_of
 from novags.testbed.stages.seen import SEEN
 from novags.testbed.stages.seen.raw import codes
+from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
 from simscenes import Rig, orbit_rig
 
 SCALE = 2.5

@@ -13,11 +13,11 @@ import pycolmap
 import pytest
 
 from novags.testbed import stages
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import open_capture
 from novags.testbed.folders.set import Source
-from novags.testbed.forecast import PILOT, sensor_plan
 from novags.testbed.stages.configs.capturing import CaptureConfig
+from novags.testbed.stages.planning import PILOT, sensor_plan
 from sensor_model import PRESETS, read_sensor, srgb_to_linear, write_sensor
 from simscenes import SparsePoints, load_set, orbit_rig
 from simscenes.sets.multiview import write_cameras

@@ -15,14 +15,14 @@ from novags.methods.denoised.denoiser import denoised
 from novags.methods.denoised.measured import of_capture
 from novags.methods.inputs import LacksInput
 from novags.testbed import stages
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.ledger.contents import read_json
-from novags.testbed.presets import EXPERIMENTS, adapted
 from novags.testbed.stages.configs.capturing import CaptureConfig
 from novags.testbed.stages.configs.denoising import DenoisePicturesConfig
 from novags.testbed.stages.configs.importing import ImportConfig
 from novags.testbed.stages.reconstructing import raw_pictures
+from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
 from sensor_model import to_srgb8
 
 QUIET = Console(quiet=True)

@@ -9,11 +9,11 @@ import pytest
 from novags.cameras.estimate import FAR, extent_of, near_origin
 from novags.splats import read_ply
 from novags.testbed import stages
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import open_capture
-from novags.testbed.presets import EXPERIMENTS, adapted
 from novags.testbed.stages.camera_source import true_cameras
 from novags.testbed.stages.configs.capturing import CaptureConfig
+from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
 from simscenes import Rig, orbit_rig
 from simscenes.sets.geometry.tracks import SparsePoints
 from simscenes.sets.multiview import load_set, write_cameras

@@ -20,13 +20,13 @@ from novags.methods.reconstruction import Reconstruction
 from novags.settings import changed
 from novags.splats import Views
 from novags.testbed import stages
-from novags.testbed.console import Console
-from novags.testbed.exposures import exposures_of
+from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import Capture, open_capture
+from novags.testbed.folders.exposures import exposures_of
+from novags.testbed.folders.references import enhanced_truth, pictured, references
 from novags.testbed.folders.run import CHECKPOINTS, Run, open_run
 from novags.testbed.knobs.reconstruction import held_out_error
 from novags.testbed.metrics.images import aligned_psnr, image_scores
-from novags.testbed.references import enhanced_truth, pictured, references
 from novags.testbed.report.page import write_report
 from novags.testbed.stages.configs.capturing import CaptureConfig
 from novags.testbed.stages.configs.reconstructing import ReconstructConfig

@@ -14,13 +14,13 @@ from novags.methods.enhancers.choice import EnhanceConfig
 from novags.methods.enhancers.guided import enhance
 from novags.methods.memo import Memo
 from novags.testbed import stages
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.folders.set import Source
 from novags.testbed.metrics.noise import centred_noise
-from novags.testbed.stages import noise_scores as module
 from novags.testbed.stages.configs.capturing import CaptureConfig
-from novags.testbed.stages.noise_scores import bias_floor, exposed_again, noise_scores
+from novags.testbed.stages.scores import noise as module
+from novags.testbed.stages.scores.noise import bias_floor, exposed_again, noise_scores
 from sensor_model.planner import Plan
 from simscenes import orbit_rig
 from simscenes.sets.multiview import write_cameras

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from novags.testbed import stages
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.stages.configs.rendering import RenderConfig
 from novags.testbed.stages.rendering import rig_of, scene_digest
 from simscenes import Optics

@@ -12,12 +12,12 @@ import torch
 from novags.methods.enhancers.choice import EnhanceConfig
 from novags.methods.enhancers.guided import enhance
 from novags.testbed import stages
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import open_capture
+from novags.testbed.folders.references import references
 from novags.testbed.folders.run import open_run
-from novags.testbed.presets import EXPERIMENTS, adapted
-from novags.testbed.references import references
 from novags.testbed.stages.configs.capturing import CaptureConfig
+from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
 from novags.testbed.study.place import run
 from sensor_model import develop_linear, read_sensor, srgb_to_linear
 from sensor_model.mosaicking import channel_index

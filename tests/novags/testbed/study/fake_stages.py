@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.ledger import contents, stage
 from novags.testbed.ledger.code import Code
 from novags.testbed.study.entry import Order, Step, Task, ensure

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.stages.importing import material_of
-from novags.testbed.study.grid import Study, read_study
+from novags.testbed.study.cells.grid import Study, read_study
 from novags.testbed.study.plan import Plan, plan_of
 from tests.miniatures import llnerf, llrs, lom, mvtv
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.ledger.source import hashed
 from novags.testbed.ledger.store import SEAL
 from novags.testbed.study.elsewhere import nodes as elsewhere

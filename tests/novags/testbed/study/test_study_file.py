@@ -7,8 +7,8 @@ import pytest
 
 from novags.cameras.sources.sfm import SfmConfig
 from novags.cameras.sources.vggsfm import VggsfmConfig
-from novags.testbed.presets import EXPERIMENTS
-from novags.testbed.study.grid import Study, read_study
+from novags.testbed.study.cells.grid import Study, read_study
+from novags.testbed.study.cells.presets import EXPERIMENTS
 from sensor_model import PRESETS as SENSORS
 from sensor_model import write_sensor
 

@@ -11,11 +11,11 @@ from novags.methods import METHODS
 from novags.methods.inputs import LacksInput
 from novags.methods.variant import Variant
 from novags.testbed import stages
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.ledger.contents import read_json
-from novags.testbed.presets import EXPERIMENTS, adapted
 from novags.testbed.report.page import write_report
 from novags.testbed.study import place, steps
+from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
 from novags.testbed.study.engines.choice import OneMachine
 from simscenes import orbit_rig
 from simscenes.sets.multiview import write_cameras

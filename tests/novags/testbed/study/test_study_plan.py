@@ -10,15 +10,15 @@ import pytest
 
 from novags.cameras.sources.vggt import VggtConfig
 from novags.methods.variant import Variant
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.ledger import store
 from novags.testbed.ledger.code import Code
 from novags.testbed.stages.configs.capturing import CaptureConfig
 from novags.testbed.stages.configs.reconstructing import ReconstructConfig, files_of
+from novags.testbed.study.cells.grid import read_study
 from novags.testbed.study.costs import Costs, default, longest_after, time_left
 from novags.testbed.study.engines.choice import OneMachine
 from novags.testbed.study.forecast import forecast
-from novags.testbed.study.grid import read_study
 from novags.testbed.study.plan import Plan, plan_of
 from novags.testbed.study.simulate import makespan
 from simscenes import orbit_rig

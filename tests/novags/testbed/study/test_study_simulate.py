@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 
 from novags.testbed.study import simulate
+from novags.testbed.study.cells.grid import read_study
 from novags.testbed.study.costs import Cost
 from novags.testbed.study.engines.choice import OneMachine
-from novags.testbed.study.grid import read_study
 from novags.testbed.study.plan import Plan
 from novags.testbed.study.simulate import at_least, makespan, simulated
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from novags.testbed import stages
-from novags.testbed.console import Console
-from novags.testbed.presets import EXPERIMENTS, adapted
+from novags.testbed.console.terminal import Console
 from novags.testbed.stages.configs.capturing import CaptureConfig
+from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
 from simscenes import orbit_rig
 from simscenes.sets.multiview import write_cameras
 from simscenes.sets.pictures.png import write_png

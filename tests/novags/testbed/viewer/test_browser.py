@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from novags.splats import read_ply
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.viewer.session import viewmat_of
 from novags.testbed.viewer.shown import Shown, shown_of
 from novags.testbed.viewer.splats import rendered

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from novags.splats import read_ply, write_ply
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import open_capture
 from novags.testbed.viewer.light import GREY, expose_again
 from novags.testbed.viewer.shown import Shown, shown_of

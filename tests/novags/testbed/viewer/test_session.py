@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.viewer.server import address_of
 from novags.testbed.viewer.session import Session
 from novags.testbed.viewer.shown import shown_of

@@ -12,7 +12,7 @@ from novags.cameras.align import Similarity
 from novags.methods.gaussian_scene import GaussianScene
 from novags.methods.tone import ResponseTable
 from novags.splats import Gaussians, read_ply, write_ply
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import open_capture
 from novags.testbed.viewer.session import quaternion, viewmat_of
 from novags.testbed.viewer.shown import Shown, shown_of

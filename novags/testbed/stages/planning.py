@@ -4,7 +4,7 @@ import os
 from dataclasses import replace
 from pathlib import Path
 
-from novags.testbed.console import Console, warnings_as_notes
+from novags.testbed.console.terminal import Console, warnings_as_notes
 from novags.testbed.folders.set import Source, open_source
 from novags.testbed.stages.capturing import meter
 from novags.testbed.stages.configs.capturing import CaptureConfig

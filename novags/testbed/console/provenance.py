@@ -11,7 +11,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from novags.testbed.machine.cores import cores_here
+from novags.testbed.console.cores import cores_here
 
 PACKAGES = (
     "novags",

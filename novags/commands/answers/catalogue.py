@@ -63,7 +63,7 @@ def methods() -> str:
 
 def levels() -> str:
     """The light levels with their cameras."""
-    from novags.testbed.levels import LEVELS
+    from novags.testbed.study.cells.levels import LEVELS
 
     rows = [(name, f"{level.title}: {level.sensor} at {level.electrons:g} electrons, pictures of "
              f"{level.pictures.removesuffix('bit')} bits") for name, level in LEVELS.items()]  # fmt: skip
@@ -72,7 +72,7 @@ def levels() -> str:
 
 def presets() -> str:
     """The presets with their sizes."""
-    from novags.testbed.presets import EXPERIMENTS
+    from novags.testbed.study.cells.presets import EXPERIMENTS
 
     rows = []
     for name, preset in EXPERIMENTS.items():

@@ -11,7 +11,7 @@ from typing import TextIO
 from rich.console import Console as RichConsole
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from novags.testbed.time_left import TimeLeft
+from novags.testbed.console.time_left import TimeLeft
 from sensor_model.files.reading import printable
 
 Update = Callable[[int, int, str], None]  # steps done, total steps, and the current activity (a view, a loss)

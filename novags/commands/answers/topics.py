@@ -23,4 +23,4 @@ def page(topic: str) -> str:
 
 
 def _folder():  # type: ignore[no-untyped-def]  # importlib's Traversable moved between Python versions
-    return files("novags.testbed.help")
+    return files("novags.commands.answers")

@@ -3,7 +3,7 @@
 import os
 from pathlib import Path
 
-from novags.testbed.console import Update
+from novags.testbed.console.terminal import Update
 from sensor_model.files.door import admitted
 from sensor_model.files.reading import brief
 from simscenes.sets.names import numbered

@@ -9,19 +9,19 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from novags.methods.problem import encode
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import RECORD, Capture, open_capture
 from novags.testbed.folders.exchanged import refuse_exchanged
 from novags.testbed.folders.imported import MISSING
+from novags.testbed.folders.references import LINEAR, true_depth
 from novags.testbed.folders.set import Source, open_source
-from novags.testbed.foreign.pictures import Picture, find_renders, read_picture
+from novags.testbed.importing.pictures import Picture, find_renders, read_picture
 from novags.testbed.ledger.dry import NOT_DONE, planned
 from novags.testbed.metrics.geometry import geometry_scores
 from novags.testbed.metrics.images import image_scores, mean_scores
 from novags.testbed.metrics.linear import exposure_gain, is_black, linear_psnr
 from novags.testbed.metrics.perceptual import PerceptualDistance
 from novags.testbed.metrics.picture import Image
-from novags.testbed.references import LINEAR, true_depth
 from sensor_model.files.lock import dry
 
 Reference = Literal["lit", "linear", "clean", "linear_demosaiced", "clean_demosaiced"]

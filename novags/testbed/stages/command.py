@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from novags.methods.problem import encode
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from novags.testbed.folders import run as run_folder
 from novags.testbed.folders.capture import RECORD, Capture, open_capture
-from novags.testbed.foreign.pictures import Picture, find_renders, read_picture
-from novags.testbed.foreign.process import Spent, run_program
+from novags.testbed.importing.pictures import Picture, find_renders, read_picture
+from novags.testbed.importing.programs import Spent, run_program
 from novags.testbed.ledger.stage import run_stage
 from novags.testbed.metrics.picture import Image
 from novags.testbed.stages.configs.command import CommandConfig

@@ -4,7 +4,7 @@ import math
 import os
 from collections.abc import Iterator
 
-from novags.testbed.machine.groups import levels
+from novags.testbed.console.groups import levels
 
 QUOTAS = (("cpu.max",), ("cpu.cfs_quota_us", "cpu.cfs_period_us"))  # of versions 2 and 1: quota, then period
 

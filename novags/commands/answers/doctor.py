@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
-from novags.testbed.machine.provenance import hardware, package_version
+from novags.testbed.console.provenance import hardware, package_version
 from novags.testbed.metrics.perceptual import PerceptualDistance
 from sensor_model.files.python import INTERPRETER, python
 

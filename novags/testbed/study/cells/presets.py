@@ -14,13 +14,13 @@ from novags.methods.enhancers import refuse_without_weights
 from novags.methods.inputs import LacksInput
 from novags.methods.variant import Variant, read_variants
 from novags.settings import changed, files_among, has_setting, refuse_lost, refuse_lost_files, starting_at
-from novags.testbed.levels import level_named
 from novags.testbed.stages.configs.capturing import CaptureConfig
 from novags.testbed.stages.configs.command import CommandConfig
 from novags.testbed.stages.configs.importing import ImportConfig
 from novags.testbed.stages.configs.posing import PosesConfig
 from novags.testbed.stages.configs.reconstructing import ReconstructConfig
 from novags.testbed.stages.configs.rendering import RenderConfig
+from novags.testbed.study.cells.levels import level_named
 from sensor_model.files.door import resolved
 from simscenes.sets.multiview import is_rendered
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from novags.testbed.machine.groups import levels
+from novags.testbed.console.groups import levels
 
 # How those that have no class for it put it. The system's own words, whatever error they are passed on in; and those of
 # torch, OpenCV and Dr.Jit, which are taken for that only in an error that a library raises.

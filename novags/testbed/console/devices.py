@@ -2,7 +2,7 @@
 
 import torch
 
-from novags.testbed.console import Console
+from novags.testbed.console.terminal import Console
 from sensor_model.files.reading import brief
 
 DEVICES = ("auto", "cpu", "cuda")

@@ -18,18 +18,18 @@ from typing import Any, Literal
 
 import numpy as np
 
-from novags.testbed.console import Console
-from novags.testbed.exposures import as_compared, exposures_of
+from novags.testbed.console.provenance import package_version
+from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.experiment import gather
+from novags.testbed.folders.exposures import as_compared, exposures_of
+from novags.testbed.folders.references import references
 from novags.testbed.folders.run import Run, open_run
 from novags.testbed.folders.set import Source
 from novags.testbed.ledger.contents import read_json, write_json
 from novags.testbed.ledger.dry import planned
-from novags.testbed.machine.provenance import package_version
 from novags.testbed.metrics.images import psnr, ssim
 from novags.testbed.metrics.perceptual import PerceptualDistance
-from novags.testbed.references import references
 from novags.testbed.study.conduct import STUDY
 from novags.testbed.study.results import JSON, ROWS
 from sensor_model.files.atomic import remove

@@ -14,8 +14,8 @@ from novags.methods import METHODS
 from novags.methods.variant import Variant
 from novags.settings import changed, check_types, converted, flattened, has_setting, starting_at
 from novags.testbed.importing.published.named import DATA
-from novags.testbed.levels import level_named
-from novags.testbed.presets import Preset, adapted
+from novags.testbed.study.cells.levels import level_named
+from novags.testbed.study.cells.presets import Preset, adapted
 from sensor_model.files.door import resolved
 from sensor_model.presets import PRESETS as SENSORS
 from simscenes.scenes import canonical_name

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from novags.testbed.folders import raw_files
+from novags.testbed.folders.photographs import raw_files
 from sensor_model.files.door import PICTURE, admitted
 from sensor_model.files.reading import brief
 from sensor_model.isp import to_srgb8

@@ -12,12 +12,12 @@ from novags.methods.enhancers.enhancer import stamps
 from novags.methods.memo import Memo
 from novags.methods.problem import encode
 from novags.testbed.folders.capture import Capture
+from novags.testbed.folders.references import enhanced_dark, enhanced_truth, pictured
 from novags.testbed.folders.run import Run
 from novags.testbed.folders.set import Source
 from novags.testbed.metrics.images import PSNR_CEILING
 from novags.testbed.metrics.noise import centred_noise, noise_share, squared_bias
 from novags.testbed.metrics.picture import Image
-from novags.testbed.references import enhanced_dark, enhanced_truth, pictured
 from novags.testbed.stages.capturing import expose_view
 from sensor_model.isp import develop, from_linear16
 from sensor_model.planner import Plan

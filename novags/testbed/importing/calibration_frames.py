@@ -25,7 +25,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from novags.testbed.folders.raw_files import is_raw, read_mosaic
+from novags.testbed.folders.photographs.raw_files import is_raw, read_mosaic
 from novags.testbed.importing.exposures import stated_of
 from sensor_model.characterisation import Characterisation, Stack, characterise
 from sensor_model.files.camera_file import sensor_from_dict

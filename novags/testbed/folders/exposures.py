@@ -6,11 +6,11 @@ import numpy as np
 
 from novags.methods.problem import encode
 from novags.testbed.folders.capture import Capture
+from novags.testbed.folders.references import pictured, references
 from novags.testbed.folders.run import Run
 from novags.testbed.folders.set import Source
 from novags.testbed.metrics.linear import exposure_gain, is_black
 from novags.testbed.metrics.picture import Image
-from novags.testbed.references import pictured, references
 from sensor_model.isp import srgb_to_linear
 
 

@@ -8,9 +8,10 @@ import numpy as np
 from novags.methods import METHODS
 from novags.methods.enhancers import ENHANCERS
 from novags.methods.problem import encode
-from novags.testbed.console import Console, Update
-from novags.testbed.exposures import Exposures, as_compared, exposures_of
+from novags.testbed.console.terminal import Console, Update
 from novags.testbed.folders.capture import Capture
+from novags.testbed.folders.exposures import Exposures, as_compared, exposures_of
+from novags.testbed.folders.references import LINEAR, missing_references, references, true_depth
 from novags.testbed.folders.run import METRICS, Run, open_run
 from novags.testbed.folders.set import Source
 from novags.testbed.ledger.code import Code, code_of
@@ -21,8 +22,7 @@ from novags.testbed.metrics.images import aligned_psnr, gaussian_blur, image_sco
 from novags.testbed.metrics.linear import is_black, linear_psnr
 from novags.testbed.metrics.perceptual import PerceptualDistance
 from novags.testbed.metrics.picture import Image
-from novags.testbed.references import LINEAR, missing_references, references, true_depth
-from novags.testbed.stages.noise_scores import noise_scores
+from novags.testbed.stages.scores.noise import noise_scores
 from sensor_model.files.lock import locked
 from simscenes.sets.geometry.correspondence import flow
 from simscenes.sets.pictures.png import read_png

@@ -1,0 +1,1 @@
+"""What `list`, `help` and `doctor` answer."""

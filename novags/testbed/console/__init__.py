@@ -1,0 +1,1 @@
+"""What a person sees of the work, and the machine that it is done on."""

@@ -1,0 +1,1 @@
+"""Photographs as cameras and others leave them: raw files, linear EXR files, videos."""

@@ -1,1 +1,0 @@
-"""What there is to choose from, and pages about terms."""

@@ -1,0 +1,1 @@
+"""From a preset or a study file to its cells."""
