@@ -66,14 +66,14 @@ def _ends(place: Path, folder: Path) -> set[str]:
     """The ends of the names of the entries that a study refers to."""
     from novags.testbed.ledger.contents import read_json
     from novags.testbed.ledger.pruning import KEY
-    from novags.testbed.study.cells.grid import read_study
+    from novags.testbed.pareto.measuring import read_any
     from novags.testbed.study.conduct import STUDY
     from novags.testbed.study.plan import plan_of
     from novags.testbed.study.session import SHAPE
 
     if place.is_dir():
         return {run["key"][:KEY] for run in read_json(place / STUDY, SHAPE)["runs"]}
-    return {key[:KEY] for key in plan_of(read_study(place), folder, shared.console(), here=False).tasks}
+    return {key[:KEY] for key in plan_of(read_any(place), folder, shared.console(), here=False).tasks}
 
 
 def _counted(found: "list[Entry]") -> str:

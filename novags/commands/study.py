@@ -52,13 +52,13 @@ def study(
     with ExitStack() as stack:
         ahead = stack.enter_context(started_ahead(workers)) if engine == "local" and not dry_run else []
         read_toml(file)  # says at once if it cannot be parsed; what comes next takes seconds to load
-        from novags.testbed.study.cells.grid import read_study
+        from novags.testbed.pareto.measuring import read_any
         from novags.testbed.study.plan import plan_of
 
         url = store if store is not None and "://" in store else None
         folder = out / "fetched" if url else store_folder(store, out)
         console = shared.console()
-        grid = read_study(file, data)
+        grid = read_any(file, data)
         for name in grid.absent:
             console.warn(f"{name} is not below {data}: no runs of it")
         plan = plan_of(grid, folder, console, here=engine == "local")
@@ -66,6 +66,8 @@ def study(
             raise ValueError(f"store {url}: the set {found} lies outside it: captures refer to their set by its place, "
                              "so give --store a folder that all nodes see")  # fmt: skip
         chosen = engine_of(engine, len(plan.runs), workers, cluster, url, ahead)
+        if grid.ends == "measurement":
+            chosen = _whole(chosen, ahead)
         if dry_run:
             say(_forecast(plan, folder, chosen, url, nodes))
             return
@@ -120,6 +122,15 @@ def engine_of(
     if url is not None:
         raise ValueError(f"store {url}: a URL needs --engine ray")
     return OneMachine.shared(runs, workers, ahead)
+
+
+def _whole(asked: "Engine", ahead: "Sequence[Worker]") -> "Engine":
+    """This machine, one task at a time; refuses what asks for another or for more."""
+    from novags.testbed.study.engines.choice import OneMachine
+
+    if not isinstance(asked, OneMachine):
+        raise ValueError("measurements are of this machine: leave out --engine")
+    return OneMachine.whole(ahead)
 
 
 def _forecast(plan: "Plan", folder: Path, engine: "Engine", url: str | None, nodes: tuple[int, ...]) -> str:

@@ -34,17 +34,19 @@ def test_a_subject_is_measured_whole_and_only_once(what: str, tmp_path: Path) ->
     before = (tmp_path / "curves" / "curves.jsonl").read_text()
     again = novags(*words, cwd=tmp_path)
     assert again.returncode == 0
-    count = len(json.loads((tmp_path / "curves" / f"{what}.samples.json").read_text())["samples"])
-    assert f"pareto {what}: {count} of {count} measurements are there already" in again.stderr
+    made = [path.stat().st_mtime_ns for path in tmp_path.glob(f"store/measurement/{what}-*/measured.json")]
+    rows = json.loads((tmp_path / "curves" / what / "results.json").read_text())["rows"]
+    assert len({row["folder"] for row in rows}) == len(made)
+    assert max(made) < (tmp_path / "curves" / "curves.jsonl").stat().st_mtime_ns
     assert (tmp_path / "curves" / "curves.jsonl").read_text() == before
 
 
 @pytest.mark.slow
 def test_the_tile_of_a_kernel_and_its_reference_change_the_time_and_not_the_picture(tmp_path: Path) -> None:
     """A constant that is changed in some modules only would draw another picture."""
-    module = import_module("novags.testbed.pareto.subjects.splats")  # the package's own name is the subject
+    module = import_module("novags.testbed.knobs.splats")  # the package's own name is the subject
     found = {
-        (knob, setting): module.measured(tmp_path, knob, setting, 300, 32, 0).error
+        (knob, setting): module.measured(knob, setting, 300, 32, 0).error
         for knob, setting in (("tile", 8), ("tile", 16), ("backend", "torch"), ("alpha_min", 1 / 2550))
     }
     assert found["tile", 8] == pytest.approx(found["tile", 16], rel=1e-3)

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from novags.testbed.pareto.subjects.splats import in_child
+from novags.testbed.knobs.splats import in_child
 from novags.testbed.study.engines.processes import TASKS, Worker
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -10,11 +10,11 @@ from typing import Any
 from novags.cameras.sources.known import KnownConfig
 from novags.testbed.budget import said
 from novags.testbed.budget.choice import Choice, Option, choice_of, choose, fastest
-from novags.testbed.budget.known import Known, known
-from novags.testbed.budget.settings import OF_A_RENDER, WORDS, open_options, turned, values
+from novags.testbed.budget.known import Known, known, open_options
 from novags.testbed.budget.trial import Forecast, OutOfTime, forecast
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders.experiment import EXPERIMENT
+from novags.testbed.knobs.options import OF_A_RENDER, WORDS, turned, values
 from novags.testbed.ledger.contents import digest, jsonable, read_json, write_json
 from novags.testbed.ledger.dry import NOT_DONE, dry_run, planned
 from novags.testbed.study import place as experiment

@@ -1,15 +1,17 @@
 """What is known of options before an experiment: curves measured earlier, or those that came with novags."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from shlex import quote
 
 from novags.testbed.budget.choice import Option, refined, united
 from novags.testbed.console.provenance import hardware
+from novags.testbed.knobs.knob import spelled
+from novags.testbed.knobs.options import LEAST, values
 from novags.testbed.ledger.contents import jsonable
 from novags.testbed.pareto.curve import CURVES, Point, read_curves
-from novags.testbed.pareto.knob import spelled
+from novags.testbed.study.cells.presets import Preset
 from sensor_model.files.reading import brief, reading
 
 SHIPPED = Path(__file__).resolve().parents[1] / "pareto" / "shipped.jsonl"
@@ -128,3 +130,21 @@ def _check(point: Point) -> None:
 
 def _points_of_options(points: Sequence[Point]) -> list[Point]:
     return [point for point in points if point["option"] is not None]
+
+
+def open_options(
+    preset: Preset, options: Mapping[str, Sequence[Option]], decided: Collection[str]
+) -> dict[str, list[Option]]:
+    """The options that a budget may choose, with the settings that make sense for a preset.
+
+    Args:
+        preset: The experiment.
+        options: What curves know.
+        decided: Options that the user has set.
+    """
+    own = values(preset)
+    found = {
+        name: [s for s in settings if s.share == 1 or own[name] * s.share >= LEAST[name]]
+        for name, settings in options.items() if name in own and name not in decided
+    }  # fmt: skip
+    return {name: settings for name, settings in found.items() if len(settings) > 1}

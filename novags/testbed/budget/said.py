@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from novags.testbed.budget.choice import Option
-from novags.testbed.budget.settings import WORDS, values
 from novags.testbed.folders import shapes
 from novags.testbed.folders.experiment import EXPERIMENT
 from novags.testbed.folders.run import METRICS
+from novags.testbed.knobs.options import WORDS, values
 from novags.testbed.ledger.contents import jsonable, read_json
 from novags.testbed.study.cells.presets import Preset
 

@@ -1,6 +1,6 @@
 """The store: what stages made, one folder an entry, found again by what it was made from.
 
-store/set/tabletop-20x160x160-1f3a…/   store/capture/…   store/run/…
+store/set/tabletop-20x160x160-1f3a…/   store/capture/…   store/run/…   store/measurement/…
 
 The end of a name is the key: a hash of the stage's code and whole configuration and of all that it was made from. It
 is known before anything is computed, and nothing else ever writes to that folder. When an entry is complete its seal is
@@ -23,7 +23,7 @@ from sensor_model.files.atomic import remove
 from sensor_model.files.door import read_bytes
 from sensor_model.files.reading import brief
 
-KINDS = ("set", "capture", "run")  # in the order in which they are made
+KINDS = ("set", "capture", "run", "measurement")  # in the order in which they are made
 SEAL = ".sealed.json"  # hidden, so that it is part of no digest
 SHAPE: Any = {
     "key": str, "content": str, "made_of": dict, "records": {"*": str},

@@ -1,4 +1,4 @@
-"""Curves: the points of a subject's knobs, as lines of JSON."""
+"""Curves: the points of a subject's knobs, from the table of its study, as lines of JSON."""
 
 import json
 import math
@@ -7,15 +7,16 @@ from pathlib import Path
 from statistics import mean, median, stdev
 from typing import Any
 
+from novags.testbed.console.provenance import environment
+from novags.testbed.knobs.knob import Knob, Setting, Subject
 from novags.testbed.ledger.contents import jsonable
 from novags.testbed.pareto.front import front
-from novags.testbed.pareto.knob import Knob, Subject
-from novags.testbed.pareto.samples import NUMBER, Samples
 from sensor_model.files.atomic import write_text
 from sensor_model.files.door import read_text
 from sensor_model.files.records import check_shape, parse_json
 
 CURVES = "curves.jsonl"
+NUMBER = (str, float, None)  # a setting
 LINE = {
     "knob": str, "setting": NUMBER, "seconds": float, "error": float, "error_unit": str, "error_sd": float,
     "default": bool, "cpu_seconds": float, "front": bool, "repeats": int, "of": str, "why": str, "option": (str, None),
@@ -23,44 +24,54 @@ LINE = {
 }  # fmt: skip
 
 Point = dict[str, Any]
+Row = Mapping[str, Any]  # of the table of a study of measurements
 
 
-def curve(subject: Subject, knob: Knob, samples: Samples) -> list[Point]:
-    """The measured points of a knob; `front` as by processor seconds, which a busy machine changes least."""
-    reference = samples.of(knob, knob.default)
-    found = []
-    for setting in knob.settings:
-        rows = samples.of(knob, setting)
-        if rows:
-            about = {"of": knob.of, "why": knob.why, "option": knob.option, "workload": dict(subject.workload)}
-            found.append({
-                "knob": f"{subject.name}.{knob.name}", "setting": setting, **_numbers(list(rows.values()), knob.parts),
-                "error_unit": knob.unit, "default": setting == knob.default, **_lost(rows, reference), **about,
-                "hardware": samples.about["hardware"],
-            })  # fmt: skip
+def curve(subject: Subject, knob: Knob, rows: Sequence[Row]) -> list[Point]:
+    """The measured points of a knob; `front` as by processor seconds, which a busy machine changes least.
+
+    Args:
+        subject: The subject.
+        knob: Its knob.
+        rows: The table of its study.
+    """
+    by_setting = {setting: _by_seed(knob, setting, rows) for setting in knob.settings}
+    about = {"of": knob.of, "why": knob.why, "option": knob.option, "workload": dict(subject.workload),
+             "hardware": environment()["hardware"]}  # fmt: skip
+    found = [
+        {"knob": f"{subject.name}.{knob.name}", "setting": setting, **_numbers(list(own.values()), knob.parts),
+         "error_unit": knob.unit, "default": setting == knob.default, **_lost(own, by_setting[knob.default]), **about}
+        for setting, own in by_setting.items() if own
+    ]  # fmt: skip
     best = front([(point["cpu_seconds"], point["error"]) for point in found])
     return [{**point, "front": i in best} for i, point in enumerate(found)]
 
 
-def curves(subject: Subject, samples: Samples) -> list[Point]:
+def _by_seed(knob: Knob, setting: Setting, rows: Sequence[Row]) -> dict[int, Row]:
+    """The measurements of a setting."""
+    found = [row for row in rows if row["state"] == "done" and (row["knob"], row["setting"]) == (knob.name, setting)]
+    return {row["seed"]: row for row in found}
+
+
+def curves(subject: Subject, rows: Sequence[Row]) -> list[Point]:
     """All curves of a subject; a knob measured only at its default, for the sake of another knob, has none."""
-    found = [curve(subject, knob, samples) for knob in subject.knobs]
+    found = [curve(subject, knob, rows) for knob in subject.knobs]
     return [jsonable(point) for points in found if not all(point["default"] for point in points) for point in points]
 
 
-def _numbers(rows: list[Mapping[str, Any]], parts: Sequence[str]) -> dict[str, Any]:
-    errors = [row["error"] for row in rows]
-    common = [name for name in parts if all(name in row["parts"] for row in rows)]
-    medians = {name: median(row["parts"][name] for row in rows) for name in common}
+def _numbers(rows: Sequence[Row], parts: Sequence[str]) -> dict[str, Any]:
+    def of(name: str) -> list[float]:
+        return [row[name] for row in rows]
+
+    common = [name for name in parts if all(row.get(f"parts.{name}") is not None for row in rows)]
     return {
-        "seconds": median(row["seconds"] for row in rows), "seconds_sd": sd([row["seconds"] for row in rows]),
-        "cpu_seconds": median(row["cpu_seconds"] for row in rows),
-        "cpu_seconds_sd": sd([row["cpu_seconds"] for row in rows]), "error": mean(errors),
-        "error_sd": sd(errors), "parts": medians, "repeats": len(rows),
+        "seconds": median(of("seconds")), "seconds_sd": sd(of("seconds")), "cpu_seconds": median(of("cpu_seconds")),
+        "cpu_seconds_sd": sd(of("cpu_seconds")), "error": mean(of("error")), "error_sd": sd(of("error")),
+        "parts": {name: median(of(f"parts.{name}")) for name in common}, "repeats": len(rows),
     }  # fmt: skip
 
 
-def _lost(rows: Mapping[int, Mapping[str, Any]], reference: Mapping[int, Mapping[str, Any]]) -> dict[str, Any]:
+def _lost(rows: Mapping[int, Row], reference: Mapping[int, Row]) -> dict[str, Any]:
     """20 log10 of the error over that of the default of the same seed: what scenes have in common drops out."""
     pairs = [(rows[seed]["error"], reference[seed]["error"]) for seed in rows if seed in reference]
     if not pairs or min(min(pair) for pair in pairs) <= 0:  # no decibels where an error is zero

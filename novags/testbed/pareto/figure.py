@@ -9,8 +9,7 @@ from dataclasses import dataclass
 from html import escape
 from typing import Any
 
-from novags.testbed.report.charts import log_ticks
-from novags.testbed.report.level_chart import ticks
+from novags.testbed.report.charts import log_ticks, ticks
 
 WIDTH, HEIGHT = 360, 260  # of a panel
 LEFT, RIGHT, TOP, BOTTOM = 62, 24, 44, 44

@@ -1,11 +1,11 @@
 """What a measured subject leaves in its folder: lines of JSON, a figure, tables; and tables in a page of one's own."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
-from novags.testbed.pareto.curve import CURVES, Point, curves, read_curves, write_curves
+from novags.testbed.knobs.knob import Subject
+from novags.testbed.pareto.curve import CURVES, Point, Row, curves, read_curves, write_curves
 from novags.testbed.pareto.figure import figure
-from novags.testbed.pareto.knob import Subject
-from novags.testbed.pareto.samples import Samples
 from novags.testbed.pareto.table import heading, tables
 from sensor_model.files.atomic import write_text
 from sensor_model.files.door import read_text
@@ -16,10 +16,10 @@ TITLES = {
 }  # fmt: skip
 
 
-def write(subject: Subject, samples: Samples, folder: Path) -> list[Path]:
-    """Write `curves.jsonl`, `NAME.svg` and `NAME.md`; returns the three."""
-    points = curves(subject, samples)
-    lines, picture, table = written(subject, folder)
+def write(subject: Subject, rows: Sequence[Row], folder: Path) -> list[Path]:
+    """Write `curves.jsonl`, `NAME.svg` and `NAME.md` from the table of a subject's study; returns the three."""
+    points = curves(subject, rows)
+    lines, picture, table = written(subject.name, folder)
     write_curves(folder, points)
     own = f"Reconstruction by {subject.workload.get('method', 'a method')}: error of held-out views"
     write_text(picture, figure(points, TITLES.get(subject.name, own)))
@@ -27,9 +27,9 @@ def write(subject: Subject, samples: Samples, folder: Path) -> list[Path]:
     return [lines, picture, table]
 
 
-def written(subject: Subject, folder: Path) -> list[Path]:
-    """The three files."""
-    return [folder / CURVES, folder / f"{subject.name}.svg", folder / f"{subject.name}.md"]
+def written(name: str, folder: Path) -> list[Path]:
+    """The three files of a subject."""
+    return [folder / CURVES, folder / f"{name}.svg", folder / f"{name}.md"]
 
 
 def marks(name: str) -> tuple[str, str]:

@@ -3,9 +3,9 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from novags.testbed.knobs.knob import spelled
 from novags.testbed.pareto.figure import setting_text, with_spread
 from novags.testbed.pareto.front import beaten_by
-from novags.testbed.pareto.knob import spelled
 
 Point = Mapping[str, Any]
 

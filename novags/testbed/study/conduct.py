@@ -54,11 +54,13 @@ def conduct(
     sealed = there(plan, store)
     table = Table(plan, out, store, url, rows_before(plan, out, store, url, sealed))
     predicted = Costs.of(costs(store), engine.threads)
-    watch = _Watch(plan, table, predicted, engine.places, StudyProgress(console, len(plan.runs)), known=sealed)
+    watch = _Watch(plan, table, predicted, engine.places, StudyProgress(console, len(plan.ends)), known=sealed)
     watch.failures = {} if retry_failed else read_failures(out, set(plan.tasks) - watch.known)
     if watch.failures or (out / FAILURES).exists():
         write_json(out / FAILURES, watch.failures)
     longest = longest_after(plan, watch.seconds_left())
+    if plan.study.ends == "measurement":  # in turn, seeds last: what else loads the machine meets all settings alike
+        longest = {key: -float(place) for place, key in enumerate(plan.tasks)}
     failed = {key: Outcome("failed", f["reason"], f["stage"]) for key, f in watch.failures.items()}
     try:
         engine.run(Work(plan, out, store, predicted, longest, watch, {**failed, **(known or {})}))

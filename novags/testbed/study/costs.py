@@ -47,6 +47,7 @@ DEFAULTS: dict[str, tuple[Line, Line, Line]] = {
     "set": (Line(3.0, 2.5e-7), Line(6e8, 60.0), Line(3e4, 45.0)),
     "capture": (Line(0.5, 4e-6), Line(6e8, 150.0), Line(3e4, 45.0)),
     "run": (Line(4.0, 1.5e-6), Line(9e8, 400.0), Line(1e6, 60.0)),
+    "measurement": (Line(10.0, 0.0), Line(1e9, 0.0), Line(3e3, 0.0)),  # what it costs is known of its like alone
 }
 
 
@@ -101,12 +102,13 @@ class Costs:
 
         threads = self.threads.get(kind, 1)
 
-        def unlike(row: tuple[str, int, float, Cost]) -> tuple[bool, bool, float]:
-            return row[0] != group, row[1] != threads, abs(math.log(max(row[2], 1.0) / max(work, 1.0)))
+        def unlike(row: tuple[str, int, float, Cost]) -> tuple[bool, bool, bool, float]:
+            kin = row[0].partition(":")[0] == group.partition(":")[0]
+            return row[0] != group, not kin, row[1] != threads, abs(math.log(max(row[2], 1.0) / max(work, 1.0)))
 
         alike = sorted(rows, key=unlike)
-        first = unlike(alike[0])[:2]
-        near = [row[3] for row in alike[:NEAREST] if unlike(row)[:2] == first]
+        first = unlike(alike[0])[:3]
+        near = [row[3] for row in alike[:NEAREST] if unlike(row)[:3] == first]
         return Cost(*(median(getattr(ratio, name) for ratio in near) for name in ("seconds", "memory", "disk")))
 
 

@@ -25,13 +25,13 @@ from sensor_model.files.lock import locked
 class Task:
     """One entry of the store that has to be there."""
 
-    kind: str  # "set", "capture" or "run", which is scored too
+    kind: str  # "set", "capture", "run", which is scored too, or "measurement"
     key: str
     name: str  # of its folder
-    config: Any  # of its stage: `RenderConfig`, `CaptureConfig`, `ImportConfig`, `ReconstructConfig`, `CommandConfig`
+    config: Any  # of its stage: `RenderConfig`, `CaptureConfig`, `ImportConfig`, `ReconstructConfig`, …
     needs: tuple[str, ...] = ()  # keys of the tasks it is made from
     source: Path | None = None  # the set that a capture photographs, or the photographs it imports, if no task makes it
-    group: str = ""  # what its cost is compared with: the scene, the camera, the method
+    group: str = ""  # what its cost is compared with: the scene, the camera, the method; of KIN:… its kin, too
     work: float = 0.0  # what its cost grows with, in `costs.UNITS`
     pixels: float = 0.0  # of all its views
     modules: tuple[str, ...] = ()  # `Source.modules` of the set that is photographed

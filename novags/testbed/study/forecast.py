@@ -68,6 +68,7 @@ def forecast(
 def _head(plan: Plan) -> str:
     study = plan.study
     product = " x ".join(f"{len(values)} {name}" for name, values in study.axes.items())
+    product = product if study.ends != "measurement" else f"{product}, each knob turned alone"
     without = f", {study.excluded} excluded" if study.excluded else ""
     lines = [f"{study.path}: {len(plan.runs)} {study.ends}s = {product}{without}"]
     lines += [f"  {number:>4}  {cell.label}" for number, (cell, _) in enumerate(plan.runs[:SHOWN], 1)]

@@ -1,7 +1,7 @@
 """The stages that a study needs, those that runs share once: folders of the store, and what each is made from."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -13,6 +13,7 @@ from novags.settings import flattened
 from novags.testbed.console.devices import chosen_device
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders.set import for_photographs, open_source
+from novags.testbed.knobs.measurement import Measurement
 from novags.testbed.ledger.contents import digest, folder_digest
 from novags.testbed.ledger.store import key_of, named
 from novags.testbed.stages.configs.capturing import CaptureConfig
@@ -29,6 +30,7 @@ from novags.testbed.study.cells.presets import Preset
 from novags.testbed.study.entry import Task
 from sensor_model.files.dng import SMALLEST
 from sensor_model.files.door import resolved
+from sensor_model.files.reading import brief
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,19 @@ class Plan:
     def ends(self) -> frozenset[str]:
         """The keys of the runs, or of a data set's captures."""
         return frozenset(key for _, key in self.runs)
+
+    def only(self, knobs: Sequence[str], kept: Collection[str]) -> "Plan":
+        """Of measurements: what these knobs need (none named: all), and what is kept already.
+
+        Raises:
+            ValueError: If there is no such knob.
+        """
+        names = self.study.axes["knob"]
+        if missing := [name for name in knobs if name not in names]:
+            raise ValueError(f"{self.study.table['measure']['subject']} has no knob {brief(repr(missing[0]), 100)}; "
+                             f"its knobs: {', '.join(names)}")  # fmt: skip
+        runs = tuple(run for run in self.runs if not knobs or run[0].values["knob"] in knobs or run[1] in kept)
+        return replace(self, runs=runs, tasks={task.key: task for _, key in runs for task in self.above(key)})
 
     def above(self, key: str) -> Iterator[Task]:
         """A task and all that it is made from, the first made first."""
@@ -68,12 +83,15 @@ def plan_of(study: Study, store: Path, console: Console, *, here: bool = True) -
     for cell in study.cells:
         try:
             check(cell.preset, console, here)
-            key = planner.run(cell.preset) if study.ends == "run" else planner.capture(cell.preset)
+            if cell.measured is not None:
+                key = planner.measurement(cell.measured)
+            else:
+                key = planner.run(cell.preset) if study.ends == "run" else planner.capture(cell.preset)
         except ValueError as error:
             if str(study.path) in str(error):
                 raise
             raise ValueError(f"{study.path}: {cell.label}: {error}") from error
-        if key in labels:
+        if key in labels and study.ends != "measurement":  # knobs may share the measurement of their defaults
             raise ValueError(
                 f"{study.path}: [grid]: ({labels[key]}) and ({cell.label}) are the same {study.ends}, because what "
                 "differs has no effect there: leave one out with [[exclude]]"
@@ -139,6 +157,17 @@ class Planner:
             kind="run", key=key, name=named(f"{name}-{self.tasks[captured].name.rpartition('-')[0]}", key),
             config=config, needs=(captured,), group=name, modules=modules,
             work=max(1, iterations) * (pixels / views + config.points), pixels=pixels,
+        ))  # fmt: skip
+
+    def measurement(self, config: Measurement) -> str:
+        """The key of a measurement, which is planned with the capture of its seed where it needs one."""
+        pictured = config.subject.pictured
+        needs = () if pictured is None else (self.capture(pictured(config.seed)),)
+        key = key_of("measurement", {**config.resolved(), "capture": needs}, config.code)
+        name = f"{config.of}-{config.name}-{config.setting}-s{config.seed}"
+        return self._task(Task(
+            kind="measurement", key=key, name=named(name, key), config=config, needs=needs,
+            group=f"{config.of}:{config.name} {config.setting}", work=1.0, pixels=1.0,
         ))  # fmt: skip
 
     def _command(self, config: CommandConfig, captured: str) -> str:

@@ -2,13 +2,14 @@
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 from novags.testbed.console.csv_text import as_csv
 from novags.testbed.folders import shapes
 from novags.testbed.folders.run import METRICS
+from novags.testbed.knobs.measurement import read_measured
 from novags.testbed.ledger.contents import read_json, write_json
 from novags.testbed.ledger.store import read_seal
 from novags.testbed.stages.scores.scoring import recovered_fractions
@@ -82,8 +83,12 @@ class Table:
 
     def _scores_of(self, key: str) -> dict[str, Any]:
         if key not in self._scores:
-            self._scores[key] = flat_scores(self._method(key)) if self.plan.study.ends == "run" else self._costs(key)
+            read = {"run": self._method, "capture": self._costs, "measurement": self._measured}
+            self._scores[key] = read[self.plan.study.ends](key)
         return self._scores[key]
+
+    def _measured(self, key: str) -> dict[str, Any]:
+        return dict(_flat(asdict(read_measured(self.plan.tasks[key].folder(self.store))), ""))
 
     def _costs(self, key: str) -> dict[str, Any]:
         """Costs of a capture, which has no scores."""
@@ -94,13 +99,13 @@ class Table:
     def _method(self, key: str) -> dict[str, Any]:
         metrics = read_json(self.plan.tasks[key].folder(self.store) / METRICS, shapes.METRICS)
         (method,) = metrics["methods"].values()
-        return dict(method)
+        return flat_scores(method)
 
     def _recovered(self, states: Mapping[str, State]) -> dict[str, dict[str, float]]:
         """The recovered shares of every run whose floor and ceiling are in the study too, at the same values."""
         groups: dict[tuple[Any, ...], dict[str, str]] = {}
         for cell, key in self.plan.runs:
-            if states.get(key, State()).name == "done":
+            if self.plan.study.ends == "run" and states.get(key, State()).name == "done":
                 place = tuple(value for name, value in cell.values.items() if name != "method")
                 groups.setdefault(place, {})[cell.preset.methods[0]] = key
         found: dict[str, dict[str, float]] = {}

@@ -10,6 +10,7 @@ from novags.testbed.console.terminal import Console
 from novags.testbed.folders import capture as captures
 from novags.testbed.folders import run as runs
 from novags.testbed.folders.set import for_photographs
+from novags.testbed.knobs.measurement import MEASURED, measure
 from novags.testbed.ledger.code import code_of
 from novags.testbed.metrics.perceptual import PerceptualDistance
 from novags.testbed.stages.command import run_command
@@ -33,9 +34,11 @@ def steps(task: Task, folder: Path, source: Path | None, console: Console) -> St
     Args:
         task: What has to be made.
         folder: Where.
-        source: The set that a capture photographs, or the capture of a run.
+        source: The set that a capture photographs, or the capture of a run or a measurement.
         console: Where progress goes.
     """
+    if task.kind == "measurement":
+        return {"measure": Step(lambda: measure(folder, task.config, source, console), MEASURED)}
     config, again, stale = task.config, task.overwrite, [folder.parent / name for name in task.stale]
     if task.kind == "set":
         name = "poses" if isinstance(config, PosesConfig) else "render"

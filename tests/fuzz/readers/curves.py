@@ -52,7 +52,7 @@ def make_state(folder: Path) -> None:
 def read_state(folder: Path, file: Path) -> object:
     """As a budget does that was interrupted, and one that is done."""
     from novags.testbed.budget.conduct import Request, begun, result
-    from novags.testbed.budget.settings import turned
+    from novags.testbed.knobs.options import turned
     from novags.testbed.study.cells.presets import EXPERIMENTS
 
     request = Request(EXPERIMENTS["demo"], 60.0)
@@ -62,37 +62,34 @@ def read_state(folder: Path, file: Path) -> object:
     return state, preset, result(request, folder, None) if "seconds" in state else None
 
 
-def make_samples(folder: Path) -> None:
-    from novags.testbed.pareto.knob import Measured
-    from novags.testbed.pareto.samples import Samples
-
-    subject = _subject()
-    samples = Samples(folder / "x.samples.json", subject)
-    for seed in range(2):
-        for setting in (1, 2, 4):
-            samples.add(subject.knobs[0], setting, seed, Measured(1.0, 2.0, 1 / setting, {"fit": 1.0}), 3.0)
+def make_measured(folder: Path) -> None:
+    measured = {"seconds": 1.0, "cpu_seconds": 2.0, "error": 0.5, "parts": {"fit": 1.0}}
+    (folder / "measured.json").write_text(json.dumps(measured))
 
 
-def read_samples(folder: Path, file: Path) -> object:
-    """As the measuring does that goes on."""
+def read_one(folder: Path, file: Path) -> object:
+    """As the table of a study of measurements and its curves do."""
+    from novags.testbed.knobs.measurement import read_measured
     from novags.testbed.pareto.curve import curves
     from novags.testbed.pareto.figure import figure
-    from novags.testbed.pareto.samples import Samples
     from novags.testbed.pareto.table import tables
 
-    subject = _subject()
-    points = curves(subject, Samples(file, subject))
-    if points:
-        figure(points, "x"), tables(points)
+    subject, found = _subject(), read_measured(folder)
+    parts = {f"parts.{name}": value for name, value in found.parts.items()}
+    own = {"seconds": found.seconds, "cpu_seconds": found.cpu_seconds, "error": found.error, **parts}
+    rows = [{"state": "done", "knob": "k", "setting": setting, "seed": 0, **own} for setting in (1, 2, 4)]
+    points = curves(subject, rows)
+    figure(points, "x"), tables(points)
     return points
 
 
 def _subject():  # type: ignore[no-untyped-def]  # of a module that is imported late
-    from novags.testbed.pareto.knob import Knob, Measured, Subject
+    from novags.testbed.knobs.knob import Knob, Measured, Subject
 
     knob = Knob(
-        name="k", settings=(1, 2, 4), default=2, unit="%", of="it", why="so", measure=lambda s, i: Measured(0, 0, 0)
-    )
+        name="k", settings=(1, 2, 4), default=2, unit="%", of="it", why="so",
+        measure=lambda s, i, c: Measured(0, 0, 0), parts=("fit",),
+    )  # fmt: skip
     return Subject("x", {"size": 3}, (knob,))
 
 
@@ -106,11 +103,11 @@ def _prepare() -> None:
 
 
 def make(folder: Path) -> None:
-    make_curves(folder), make_state(folder), make_samples(folder)
+    make_curves(folder), make_state(folder), make_measured(folder)
 
 
 def read(folder: Path, file: Path) -> object:
-    kind = {"curves.jsonl": read_curves, "budget.json": read_state}.get(file.name, read_samples)
+    kind = {"curves.jsonl": read_curves, "budget.json": read_state}.get(file.name, read_one)
     return kind(folder, file)
 
 

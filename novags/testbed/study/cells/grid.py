@@ -24,6 +24,7 @@ from typing import Any, Literal
 from novags.methods import with_variants
 from novags.methods.variant import Variant, dotted
 from novags.testbed.importing.published.named import DataFolder
+from novags.testbed.knobs.measurement import Measurement
 from novags.testbed.stages.configs.command import read_commands
 from novags.testbed.study.cells.axes import Changes, applied, changes_of, check_keys, scene_identity
 from novags.testbed.study.cells.presets import EXPERIMENTS, Preset, variants_in
@@ -43,6 +44,7 @@ class Cell:
 
     values: dict[str, Value]
     preset: Preset
+    measured: Measurement | None = None  # what is, of a study of measurements
 
     @property
     def label(self) -> str:
@@ -60,7 +62,7 @@ class Study:
         cells: Every combination that is not excluded.
         excluded: How many are.
         table: The content of the file.
-        ends: What each combination is: a "run" or, of a data set, a "capture".
+        ends: What each combination is: a "run", a "capture" of a data set, or a "measurement".
         absent: The published data sets that it names and that are not there.
     """
 
@@ -69,7 +71,7 @@ class Study:
     cells: tuple[Cell, ...]
     excluded: int
     table: dict[str, Any]
-    ends: Literal["run", "capture"] = "run"
+    ends: Literal["run", "capture", "measurement"] = "run"
     absent: tuple[str, ...] = ()
 
 
@@ -97,25 +99,25 @@ def study_of(
     path: Path, table: dict[str, Any], ends: Literal["run", "capture"] = "run", data: DataFolder | None = None
 ) -> Study:
     """The study of a table; arguments as attributes of `Study`, errors as `read_study`."""
-    with _at(path, ""):
+    with at(path, ""):
         if "dataset" in table:
             raise ValueError("[dataset]: this is the file of a data set: novags dataset makes it")
-        _known(table, TABLES, "table or key")
+        refuse_unknown(table, TABLES, "table or key")
         base = _preset(table.get("preset", "demo"))
         for name in ("grid", "override", "rig", "variant", "method"):
             if not isinstance(table.get(name, {}), dict):
                 raise ValueError(f"[{name}] must be a table")
-    with _at(path, "[variant]"):
+    with at(path, "[variant]"):
         variants = variants_in(path) if table.get("variant") else ()
         with_variants(variants)
-    with _at(path, ""):
+    with at(path, ""):
         base = replace(base, commands=read_commands(table.get("method", {}), path.parent))
         if both := {command.name for command in base.commands} & {variant.name for variant in variants}:
             raise ValueError(f"[method.{min(both)}]: a variant is called {min(both)} too: rename one of them")
     data = data or DataFolder()
     reader = _Reader(path, base, variants, table.get("override", {}), table.get("rig", {}), ends, data)
     shared = reader.table(reader.override, "[override]")
-    with _at(path, "[grid] scene"):
+    with at(path, "[grid] scene"):
         scenes = _listed(table.get("grid", {}).get("scene", []))
         absent = data.absent(scenes)
         there = any(data.matching(scene) for scene in scenes)
@@ -135,7 +137,7 @@ def _preset(name: Any) -> Preset:
 
 
 @contextmanager
-def _at(path: Path, place: str) -> Iterator[None]:
+def at(path: Path, place: str) -> Iterator[None]:
     """Name the file and the place in it in what goes wrong."""
     try:
         yield
@@ -144,7 +146,8 @@ def _at(path: Path, place: str) -> Iterator[None]:
         raise ValueError(f"{where}{brief(error)}") from error
 
 
-def _known(table: Mapping[str, Any], known: tuple[str, ...], what: str) -> None:
+def refuse_unknown(table: Mapping[str, Any], known: tuple[str, ...], what: str) -> None:
+    """Refuse a key that is not known; the message has one that is spelled alike, if there is one."""
     for key in table:
         if key not in known:
             near = get_close_matches(key, known, 1)
@@ -172,11 +175,11 @@ class _Reader:
     def table(self, table: Any, place: str) -> Changes:
         """All keys of [override] or [rig.NAME], names and types checked."""
         found = Changes()
-        with _at(self.path, place):
+        with at(self.path, place):
             if not isinstance(table, dict):
                 raise ValueError("it must be a table")
         for key, value in dotted(table).items():
-            with _at(self.path, f"{place} {key}"):
+            with at(self.path, f"{place} {key}"):
                 if key == "rig" or (key in OWN_AXES and place != "[override]"):
                     raise ValueError(f"it is an axis of its own: list its values as [grid] {key}, and leave "
                                      "combinations out by [[exclude]]")  # fmt: skip
@@ -191,7 +194,7 @@ class _Reader:
         found = {}
         _refuse_many(self.path, {key: _listed(listed) for key, listed in dotted(grid).items()})
         for key, listed in dotted(grid).items():
-            with _at(self.path, f"[grid] {key}"):
+            with at(self.path, f"[grid] {key}"):
                 values = _expanded(_listed(listed), self.data)
                 if not values:
                     raise ValueError("it has no values: give one, or leave the axis out")
@@ -277,7 +280,7 @@ class _Reader:
         try:
             return applied(self.base, shared.and_(own), self.variants)
         except ValueError as error:
-            with _at(self.path, self._blamed(values, error)):
+            with at(self.path, self._blamed(values, error)):
                 raise
 
     def _blamed(self, values: Mapping[str, Value], error: ValueError) -> str:
@@ -334,16 +337,16 @@ def _without_excluded(
     combinations: list[dict[str, Value]],
     data: DataFolder,
 ) -> list[dict[str, Value]]:
-    with _at(path, "[[exclude]]"):
+    with at(path, "[[exclude]]"):
         if not isinstance(rules, list) or not all(isinstance(rule, dict) and rule for rule in rules):
             raise ValueError("each must be a table [[exclude]] with values of some axes")
     kept = combinations
     for number, rule in enumerate(rules, 1):
-        with _at(path, f"[[exclude]] {number}"):
+        with at(path, f"[[exclude]] {number}"):
             if empty := [key for key, value in dotted(rule).items() if not _listed(value)]:
                 raise ValueError(f"{empty[0]} has no values: it would leave nothing out")
             wanted = {key: _expanded(_listed(value), data) for key, value in dotted(rule).items()}
-            _known(wanted, tuple(axes), "axis")
+            refuse_unknown(wanted, tuple(axes), "axis")
             for key, listed in wanted.items():
                 if missing := [value for value in listed if not _among(value, axes[key])]:
                     known = ", ".join(map(str, axes[key]))

@@ -112,6 +112,11 @@ class OneMachine:
         workers = wanted or max(1, min(cores_here(), runs))
         return OneMachine(workers, threads_of(workers), ahead)
 
+    @staticmethod
+    def whole(ahead: Sequence[Worker] = ()) -> "OneMachine":
+        """One process at a time, with all cores: what ran beside a measurement would be measured too."""
+        return OneMachine(1, cores_here(), ahead)
+
     @property
     def threads(self) -> Mapping[str, int]:
         """The same for all."""

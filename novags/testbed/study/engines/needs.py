@@ -6,9 +6,10 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from novags.testbed.ledger.store import KINDS
+from novags.testbed.ledger import store
 from sensor_model.files.reading import brief
 
+KINDS = tuple(kind for kind in store.KINDS if kind != "measurement")  # which are of this machine alone
 MOST = 1e6  # of anything, in its unit
 UNITS = {"": 1e9, "GB": 1e9, "MB": 1e6}  # a bare number means GB
 

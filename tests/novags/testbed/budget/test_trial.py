@@ -8,8 +8,9 @@ import pytest
 
 from novags.methods.variant import parse_variant
 from novags.testbed.budget.choice import Option
-from novags.testbed.budget.settings import open_options, turned, values
+from novags.testbed.budget.known import open_options
 from novags.testbed.budget.trial import OutOfTime, Stopwatch, in_small, pace_of, scaled
+from novags.testbed.knobs.options import turned, values
 from novags.testbed.study.cells.presets import EXPERIMENTS, Preset, adapted
 
 METHODS = EXPERIMENTS["demo"].methods[:2]  # with a denoiser, and without

@@ -9,24 +9,19 @@ from xml.etree import ElementTree
 
 import pytest
 
-from novags.testbed.console.terminal import Console
+from novags.testbed.knobs.knob import Knob, Measured, Subject
 from novags.testbed.pareto import page
 from novags.testbed.pareto.curve import curves, read_curves, write_curves
 from novags.testbed.pareto.figure import figure
-from novags.testbed.pareto.knob import Knob, Measured, Subject
-from novags.testbed.pareto.measure import measure
-from novags.testbed.pareto.samples import Samples
 from novags.testbed.pareto.table import said, tables
 
-QUIET = Console(quiet=True)
 CONTRACT = {"knob": str, "setting": (int, float, str, type(None)), "seconds": float, "error": float,
             "error_unit": str, "error_sd": float, "default": bool}  # fmt: skip
 SVG = "{http://www.w3.org/2000/svg}"
 
 
 def test_every_line_keeps_the_contract_and_says_what_was_measured(made: Any, tmp_path: Path) -> None:
-    samples = measure(made.subject, tmp_path, 2, QUIET)
-    page.write(made.subject, samples, tmp_path)
+    page.write(made.subject(8), made.measure(repeats=2), tmp_path)
     lines = [json.loads(line) for line in (tmp_path / "curves.jsonl").read_text().splitlines()]
     wanted = [("made.steps", 1), ("made.steps", 10), ("made.steps", 100), ("made.way", "a"), ("made.way", "bb"),
               ("made.way", None), ("made.lone", 1.5), ("made.lone", 22.75)]  # fmt: skip
@@ -40,14 +35,13 @@ def test_every_line_keeps_the_contract_and_says_what_was_measured(made: Any, tmp
 
 
 def test_points_are_medians_means_and_paired_decibels(made: Any, tmp_path: Path) -> None:
-    knob = made.subject.knobs[2]
-    subject, samples = Subject("s", {}, (knob,)), Samples(tmp_path / "s.json", made.subject)
+    rows, subject = list[Any](), Subject("s", {}, (made.subject(8).knobs[2],))
     for seed, (seconds, cpu, error, default) in enumerate(
         ((1.0, 5.0, 2.0, 1.0), (3.0, 6.0, 8.0, 2.0), (2.0, 9.0, 20.0, 2.0))
     ):
-        samples.add(knob, 1.5, seed, Measured(seconds, cpu, error, {"fit": cpu, "denoiser": 1.0}), 1.0)
-        samples.add(knob, 22.75, seed, Measured(10.0, 20.0, default), 1.0)
-    fast, default = curves(subject, samples)
+        rows.append(made.row("lone", 1.5, seed, Measured(seconds, cpu, error, {"fit": cpu, "denoiser": 1.0})))
+        rows.append(made.row("lone", 22.75, seed, Measured(10.0, 20.0, default)))
+    fast, default = curves(subject, rows)
     assert (fast["seconds"], fast["cpu_seconds"], fast["error"], fast["parts"]) == (2.0, 6.0, 10.0, {"fit": 6.0})
     assert fast["error_sd"] == pytest.approx(math.sqrt((64 + 4 + 100) / 2))
     decibels = [20 * math.log10(ratio) for ratio in (2.0, 4.0, 10.0)]  # each beside the default of its own seed
@@ -59,18 +53,15 @@ def test_points_are_medians_means_and_paired_decibels(made: Any, tmp_path: Path)
 
 
 def test_an_error_of_nothing_has_no_decibels_and_one_repetition_no_spread(made: Any, tmp_path: Path) -> None:
-    knob = made.subject.knobs[2]
-    samples = Samples(tmp_path / "s.json", made.subject)
-    samples.add(knob, 1.5, 0, Measured(3.0, 3.0, 1.0), 1.0)
-    samples.add(knob, 22.75, 0, Measured(2.0, 2.0, 0.0), 1.0)
-    slow, default = curves(Subject("s", {}, (knob,)), samples)
+    rows = [made.row("lone", 1.5, 0, Measured(3.0, 3.0, 1.0)), made.row("lone", 22.75, 0, Measured(2.0, 2.0, 0.0))]
+    slow, default = curves(Subject("s", {}, (made.subject(8).knobs[2],)), rows)
     assert slow["db_lost"] is None
     assert slow["error_sd"] == 0.0
     assert (slow["front"], default["front"]) == (False, True)  # slower and worse
 
 
 def test_the_curves_of_other_subjects_stay_in_the_file(made: Any, tmp_path: Path) -> None:
-    points = curves(made.subject, measure(made.subject, tmp_path, 1, QUIET))
+    points = made.curves(1)
     other = [{**point, "knob": point["knob"].replace("made", "other")} for point in points]
     write_curves(tmp_path, points)
     write_curves(tmp_path, other)
@@ -90,7 +81,7 @@ def test_the_curves_of_other_subjects_stay_in_the_file(made: Any, tmp_path: Path
     ],
 )
 def test_a_damaged_line_is_refused_with_its_place(made: Any, tmp_path: Path, damage: Any, message: str) -> None:
-    path = write_curves(tmp_path, curves(made.subject, measure(made.subject, tmp_path, 1, QUIET)))
+    path = write_curves(tmp_path, made.curves(1))
     lines = path.read_text().splitlines()
     lines[1] = damage(lines[1])
     path.write_text("\n".join(lines))
@@ -121,7 +112,7 @@ def test_no_curves_is_one_line_that_says_how_to_get_them(tmp_path: Path) -> None
 
 
 def test_the_figure_shows_every_point_with_its_bar_and_the_default_by_its_shape(made: Any, tmp_path: Path) -> None:
-    points = curves(made.subject, measure(made.subject, tmp_path, 2, QUIET))
+    points = made.curves(2)
     root = ElementTree.fromstring(figure(points, "a & b"))
     assert len(root.findall(f".//{SVG}path")) == sum(point["default"] for point in points) == 3
     assert len(root.findall(f".//{SVG}circle")) == 5
@@ -137,7 +128,7 @@ def test_the_figure_shows_every_point_with_its_bar_and_the_default_by_its_shape(
 
 
 def test_a_longer_time_lies_further_right_and_a_larger_error_higher(made: Any, tmp_path: Path) -> None:
-    points = [p for p in curves(made.subject, measure(made.subject, tmp_path, 1, QUIET)) if p["knob"] == "made.steps"]
+    points = [p for p in made.curves(1) if p["knob"] == "made.steps"]
     root = ElementTree.fromstring(figure([{**point, "default": False} for point in points], "t"))
     at = [(float(c.get("cx", "")), float(c.get("cy", ""))) for c in root.iter(f"{SVG}circle")]
     assert sorted(at, key=lambda p: p[0]) == sorted(at, key=lambda p: -p[1])[::-1]
@@ -147,7 +138,7 @@ def test_a_longer_time_lies_further_right_and_a_larger_error_higher(made: Any, t
 
 @pytest.mark.parametrize("apart", [0.0, 1e-9, 0.01, 3.0])
 def test_points_close_together_have_axes_with_numbers(made: Any, tmp_path: Path, apart: float) -> None:
-    points = [p for p in curves(made.subject, measure(made.subject, tmp_path, 1, QUIET)) if p["knob"] == "made.steps"]
+    points = [p for p in made.curves(1) if p["knob"] == "made.steps"]
     near = [{**p, "cpu_seconds": 0.028 * (1 + i * apart), "error": 7 * (1 + i * apart)} for i, p in enumerate(points)]
     root = ElementTree.fromstring(figure(near, "t"))
     numbers = [text for text in root.iter(f"{SVG}text") if re.fullmatch(r"[\d.]+", text.text or "")]
@@ -159,7 +150,7 @@ def test_points_close_together_have_axes_with_numbers(made: Any, tmp_path: Path,
 
 
 def test_errors_of_zero_are_drawn_too(made: Any, tmp_path: Path) -> None:
-    points = curves(made.subject, measure(made.subject, tmp_path, 1, QUIET))
+    points = made.curves(1)
     points[0] = {**points[0], "error": 0.0}
     assert "nan" not in figure(points, "zero")
 
@@ -182,7 +173,7 @@ def test_a_default_off_the_front_is_said_to_be(made: Any) -> None:
 
 
 def test_tables_in_a_page_are_replaced_between_their_marks_alone(made: Any, tmp_path: Path) -> None:
-    points = curves(made.subject, measure(made.subject, tmp_path, 2, QUIET))
+    points = made.curves(2)
     begin, end = page.marks("made")
     other = page.marks("other")[0]
     text = page.embedded(f"# head\n{begin}\nold\n{end}\n{other}\nkept\n{end}\ntail\n", points)
@@ -195,7 +186,7 @@ def test_tables_in_a_page_are_replaced_between_their_marks_alone(made: Any, tmp_
 
 
 def test_a_unit_with_bars_leaves_the_table_its_columns(made: Any, tmp_path: Path) -> None:
-    points = curves(made.subject, measure(made.subject, tmp_path, 1, QUIET))[:3]
+    points = made.curves(1)[:3]
     rows = tables([{**point, "error_unit": "mean |DN|"} for point in points]).splitlines()[2:7]
     assert {len(re.findall(r"(?<!\\)\|", row)) for row in rows} == {6}
 
@@ -203,7 +194,7 @@ def test_a_unit_with_bars_leaves_the_table_its_columns(made: Any, tmp_path: Path
 def test_settings_must_differ_and_hold_the_default() -> None:
     def knob(settings: tuple[Any, ...]) -> Knob:
         return Knob(
-            name="k", settings=settings, default=2, unit="", of="", why="", measure=lambda s, i: Measured(0, 0, 0)
+            name="k", settings=settings, default=2, unit="", of="", why="", measure=lambda s, i, c: Measured(0, 0, 0)
         )
 
     assert knob((1, 2)).default == 2

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from novags.methods.gaussian_scene import GaussianScene
-from novags.testbed.pareto import reconstruction
+from novags.testbed.knobs import reconstruction
 
 
 def test_a_splat_is_dilated_by_as_much_of_the_picture_at_the_full_size(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,17 +11,17 @@ from novags.methods.knob import MethodKnob
 from novags.methods.variant import parse_variant
 from novags.settings import flattened
 from novags.testbed.budget.known import SHIPPED
-from novags.testbed.console.terminal import Console
-from novags.testbed.pareto import reconstruction
-from novags.testbed.pareto.curve import curves, read_curves
-from novags.testbed.pareto.knob import Knob, Measured, Setting, Subject
-from novags.testbed.pareto.measure import measure
-from novags.testbed.pareto.reconstruction import Bench, parts_of
-from novags.testbed.pareto.samples import Samples
-from novags.testbed.pareto.subjects import chosen, subjects
+from novags.testbed.knobs import reconstruction
+from novags.testbed.knobs.knob import Knob, Measured, Setting, Subject
+from novags.testbed.knobs.reconstruction import Bench, parts_of
+from novags.testbed.knobs.subjects import chosen, subject_of, subjects
+from novags.testbed.pareto.curve import read_curves
+from novags.testbed.pareto.measuring import measurements_of
+from novags.testbed.pareto.study import STUDIES
 from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
+from sensor_model.files.toml_file import read_toml
 
-QUIET = Console(quiet=True)
+HERE = Path("here")
 SHAPE = MethodKnob(
     settings={"low": {"fit.sh_degree": 0, "init_scale": 0.5}, "own": {"fit.sh_degree": 1, "init_scale": 0.7}}, why="so",
     parts=("fit",),
@@ -32,8 +32,16 @@ SHAPE = MethodKnob(
 def made(monkeypatch: pytest.MonkeyPatch) -> Subject:
     """The subject of a new method, which is `naive` under another name with one knob of two settings."""
     monkeypatch.setitem(METHODS, "mine", replace(METHODS["naive"], knobs={"shape": SHAPE}))
-    (make,) = chosen("mine")
-    return make(False, Path("nowhere"), QUIET)
+    return made_of("mine")
+
+
+def made_of(name: str, quick: bool = False) -> Subject:
+    """A method as its study measures it."""
+    subject_of.cache_clear()
+    file = STUDIES / "method.toml"
+    measured = measurements_of(file, read_toml(file), subject=name, quick=quick).cells[0].measured
+    assert measured is not None
+    return measured.subject
 
 
 def knob(subject: Subject, name: str) -> Knob:
@@ -47,7 +55,7 @@ class Asked:
     configs: list[dict[str, Any]]
     seeds: list[tuple[str, int]]
 
-    def __call__(self, bench: Bench, row: MethodKnob, setting: Setting, seed: int) -> Measured:
+    def __call__(self, bench: Bench, row: MethodKnob, setting: Setting, seed: int, captured: Path) -> Measured:
         preset = bench.preset(row, setting, seed)
         config = preset.reconstruct(preset.methods[0])
         self.configs.append({**flattened(config.config), "points": config.points, "width": preset.render.width})
@@ -75,7 +83,7 @@ def test_a_method_with_a_row_of_knobs_is_a_subject_of_its_own(made: Subject) -> 
 
 def test_a_knob_of_several_settings_turns_all_of_them_and_nothing_else(made: Subject, asked: Asked) -> None:
     shape = knob(made, "shape")
-    shape.measure("own", 3), shape.measure("low", 3)
+    shape.measure("own", 3, HERE), shape.measure("low", 3, HERE)
     own, low = asked.configs
     assert {name for name in own if own[name] != low[name]} == {"fit.sh_degree", "init_scale"}
     assert (low["fit.sh_degree"], low["init_scale"]) == (0, 0.5)
@@ -91,7 +99,7 @@ def test_options_of_every_method_are_shares_of_the_presets_value(made: Subject, 
         (32, 45, 64),
         "size",
     )
-    iterations.measure(50, 0), size.measure(32, 0)
+    iterations.measure(50, 0, HERE), size.measure(32, 0, HERE)
     assert [config["fit.iterations"] for config in asked.configs] == [50, 800]
     assert [config["width"] for config in asked.configs] == [64, 32]
 
@@ -99,8 +107,7 @@ def test_options_of_every_method_are_shares_of_the_presets_value(made: Subject, 
 def test_iterations_and_size_change_the_time_of_the_parts_that_count_iterations() -> None:
     found = {}
     for name in ("nova", "nova-plus"):
-        (make,) = chosen(name)
-        subject = make(False, Path("nowhere"), QUIET)
+        subject = made_of(name)
         found[name] = (set(knob(subject, "iterations").parts), set(knob(subject, "resolution").parts))
     fits = {"likelihood", "structure", "merged"}
     assert found == {"nova": ({"fit"}, {"render", "fit"}), "nova-plus": (fits, {"render", *fits})}
@@ -109,16 +116,14 @@ def test_iterations_and_size_change_the_time_of_the_parts_that_count_iterations(
 def test_an_option_that_the_method_does_not_have_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     steps = MethodKnob(option="denoiser_steps", shares=(0.5, 1.0), why="so")
     monkeypatch.setitem(METHODS, "mine", replace(METHODS["naive"], knobs={"steps": steps}))
-    (make,) = chosen("mine")
     with pytest.raises(ValueError, match="the knob steps turns denoiser_steps, which this method does not have"):
-        make(False, Path("nowhere"), QUIET)
+        made_of("mine")
 
 
 def test_a_method_is_measured_as_the_variant_that_the_demonstration_has() -> None:
     found = {}
     for name in ("nova", "nova-plus"):
-        (make,) = chosen(name)
-        found[name] = make(True, Path("nowhere"), QUIET).workload["method"]
+        found[name] = made_of(name, quick=True).workload["method"]
     assert found == {"nova": "nova-fast", "nova-plus": "nova-plus"}
 
 
@@ -141,20 +146,6 @@ def test_all_is_every_part_and_every_method_with_knobs() -> None:
     assert list(subjects()) == ["render", "sensor", "splats", "nova", "nova-plus"]
 
 
-def test_knobs_that_are_named_are_measured_alone_and_what_the_folder_has_stays(
-    made: Subject, asked: Asked, tmp_path: Path
-) -> None:
-    first = measure(made, tmp_path, 1, QUIET, only=("shape",))
-    assert [config["fit.sh_degree"] for config in asked.configs] == [0, 1]
-    lines = curves(made, first)  # the default is that of the other knobs too, which alone are not curves
-    assert [(line["knob"], line["setting"]) for line in lines] == [("mine.shape", "low"), ("mine.shape", "own")]
-    measure(made, tmp_path, 1, QUIET, only=("resolution",))
-    found = {line["knob"] for line in curves(made, Samples(tmp_path / "mine.samples.json", made))}
-    assert found == {"mine.shape", "mine.resolution"}
-    with pytest.raises(ValueError, match="mine has no knob 'shap'; its knobs: iterations, shape, samples per pixel"):
-        measure(made, tmp_path, 1, QUIET, only=("shap",))
-
-
 def test_the_seconds_of_a_part_are_those_of_its_own_steps() -> None:
     """Rationale: between two parts lies work that no setting of their steps changes."""
     stamps = {10: 1.0, 20: 2.0, 30: 3.0, 40: 53.0, 50: 55.0, 60: 57.0, 64: 70.0}
@@ -166,8 +157,7 @@ def test_the_seconds_of_a_part_are_those_of_its_own_steps() -> None:
 def test_curves_that_came_with_novags_are_of_knobs_that_are_there() -> None:
     points = read_curves(SHIPPED)
     for name in ("nova", "nova-plus"):
-        (make,) = chosen(name)
-        subject = make(False, Path("nowhere"), QUIET)
+        subject = made_of(name)
         own = [point for point in points if point["knob"].startswith(f"{name}.")]
         assert own
         work = ("method", "scene", "views", "size", "samples per pixel", "sensor", "electrons", "points")
@@ -179,8 +169,7 @@ def test_curves_that_came_with_novags_are_of_knobs_that_are_there() -> None:
 
 
 def test_the_smaller_demonstration_differs_from_the_preset_in_what_is_said_alone() -> None:
-    (make,) = chosen("nova-plus")
-    said = make(False, Path("nowhere"), QUIET).workload
+    said = made_of("nova-plus").workload
     demo = EXPERIMENTS["demo"]
     small = adapted(demo, width=64, height=64, points=3200, n_views=16, iterations=800, denoiser_steps=128)
     config = flattened(small.reconstruct("nova-plus").config)

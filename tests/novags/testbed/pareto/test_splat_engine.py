@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 import torch
 
-from novags.testbed.pareto.splat_engine import child
-from novags.testbed.pareto.splat_engine.scene import NAMES
+from novags.testbed.knobs.splat_engine import child
+from novags.testbed.knobs.splat_engine.scene import NAMES
 
-splats = import_module("novags.testbed.pareto.subjects.splats")  # the package's own name is the subject
+splats = import_module("novags.testbed.knobs.splats")  # the package's own name is the subject
 
 
 @pytest.mark.parametrize("knob", splats.KNOBS)
 def test_machine_code_that_knobs_share_is_that_of_unchanged_constants(
-    knob: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    knob: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Rationale: code that a refitted polynomial was compiled into would serve all other knobs."""
     asked: list[tuple[dict[str, Any], Path]] = []
@@ -24,12 +24,17 @@ def test_machine_code_that_knobs_share_is_that_of_unchanged_constants(
     def in_child(order: dict[str, Any], code: str) -> dict[str, Any]:
         asked.append((order, code))
         if order["do"] == "truth":
-            Path(order["out"]).touch()
+            Path(order["out"]).write_bytes(b"truth")
+        else:
+            assert Path(order["truth"]).read_bytes() == b"truth"
         return {"seconds": 1.0, "cpu_seconds": 1.0, "error": 0.0}
 
     monkeypatch.setattr(splats, "in_child", in_child)
+    splats.truth.cache_clear()
     for setting in splats.KNOBS[knob][0]:
-        splats.measured(tmp_path, knob, setting, 8, 8, 0)
+        splats.measured(knob, setting, 8, 8, 0)
+    splats.truth.cache_clear()
+    assert sum(order["do"] == "truth" for order, _ in asked) == 1
     measures = [(order, code) for order, code in asked if order["do"] == "measure"]
     assert [order["changed"] for order, _ in measures] == [code != "default" for _, code in measures]
     assert len({code for order, code in measures if order["changed"]}) == sum(o["changed"] for o, _ in measures)

@@ -25,8 +25,8 @@ from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.folders.exposures import exposures_of
 from novags.testbed.folders.references import enhanced_truth, pictured, references
 from novags.testbed.folders.run import CHECKPOINTS, Run, open_run
+from novags.testbed.knobs.reconstruction import held_out_error
 from novags.testbed.metrics.images import aligned_psnr, image_scores
-from novags.testbed.pareto.reconstruction import held_out_error
 from novags.testbed.report.page import write_report
 from novags.testbed.stages.configs.capturing import CaptureConfig
 from novags.testbed.stages.configs.reconstructing import ReconstructConfig

@@ -12,8 +12,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from novags.testbed.pareto.clock import fastest
-from novags.testbed.pareto.splat_engine.scene import NAMES, cube_scene, draw, reference, strips, turn
+from novags.testbed.knobs.clock import fastest
+from novags.testbed.knobs.splat_engine.scene import NAMES, cube_scene, draw, reference, strips, turn
 from sensor_model.files.door import opened
 
 CALLS = 15

@@ -15,14 +15,14 @@ from novags.methods.reconstruction import Reconstruction
 from novags.methods.variant import Variant
 from novags.settings import changed, flattened, has_setting
 from novags.testbed import stages
-from novags.testbed.budget.settings import values
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.folders.references import enhanced_truth, pictured
+from novags.testbed.knobs.clock import Clock
+from novags.testbed.knobs.knob import Knob, Measured, Setting
+from novags.testbed.knobs.options import values
 from novags.testbed.ledger.contents import jsonable, read_json
 from novags.testbed.metrics.images import aligned_psnr
-from novags.testbed.pareto.clock import Clock
-from novags.testbed.pareto.knob import Knob, Measured, Setting
 from novags.testbed.stages.camera_source import Frame
 from novags.testbed.stages.configs.reconstructing import ReconstructConfig
 from novags.testbed.stages.reconstructing import Prepared, prepare
@@ -52,10 +52,9 @@ RESOLUTION = MethodKnob(
 
 @dataclass(frozen=True)
 class Bench:
-    """A preset with one method, and where the sets and captures of its seeds are kept."""
+    """A preset with one method."""
 
     base: Preset
-    folder: Path
 
     @property
     def reconstruct(self) -> ReconstructConfig:
@@ -65,10 +64,24 @@ class Bench:
     def knobs(self) -> tuple[Knob, ...]:
         """Those that every reconstruction has around those that the method declares."""
         work = iterated(self.reconstruct)
-        declared = METHODS[self.reconstruct.variant.method].knobs
-        rows = {"iterations": replace(ITERATIONS, parts=work), **declared, **RENDER,
+        rows = {"iterations": replace(ITERATIONS, parts=work), **self._declared, **RENDER,
                 "resolution": replace(RESOLUTION, parts=("render", *work))}  # fmt: skip
         return tuple(self.knob(name, row) for name, row in rows.items())
+
+    @property
+    def _declared(self) -> Mapping[str, MethodKnob]:
+        return METHODS[self.reconstruct.variant.method].knobs
+
+    def modules(self) -> tuple[str, ...]:
+        """What measures, and what the stages of every setting use."""
+        turned = [self.preset(row, setting, 0) for row in self._declared.values() for setting in row.settings]
+        plain = (self.base.render.code, self.base.capture.code, self.reconstruct.code)
+        found = (*plain, *(preset.reconstruct(preset.methods[0]).code for preset in turned))
+        return (__name__, *sorted({root for code in found for root in code.roots}))
+
+    def plain(self, seed: int) -> Preset:
+        """The experiment of a seed with no knob turned."""
+        return adapted(self.base, scene=f"{SCENE}:{seed}", seed=seed)
 
     def knob(self, name: str, row: MethodKnob) -> Knob:
         """One knob of it."""
@@ -79,8 +92,9 @@ class Bench:
             settings = tuple(dict.fromkeys(max(1, round(value * share)) for share in row.shares))
         work = "a render and a reconstruction" if row.option in RENDERED else "a reconstruction"
 
-        def measured(setting: Setting, seed: int) -> Measured:
-            return self.measure(row, setting, seed)
+        def measured(setting: Setting, seed: int, captured: Path | None) -> Measured:
+            assert captured is not None
+            return self.measure(row, setting, seed, captured)
 
         return Knob(
             name=name, settings=settings, default=default, unit="aligned RMSE of held-out views, % of white",
@@ -109,21 +123,19 @@ class Bench:
             given = dict(turned_option(row.option, setting))
         return adapted(self.base, scene=f"{SCENE}:{seed}", seed=seed, **given)
 
-    def measure(self, row: MethodKnob, setting: Setting, seed: int) -> Measured:
-        """One measurement; what is rendered anew for it counts into its seconds."""
+    def measure(self, row: MethodKnob, setting: Setting, seed: int, captured: Path) -> Measured:
+        """One measurement; what is rendered anew for it counts into its seconds. `captured`: with no knob turned."""
         preset, parts = self.preset(row, setting, seed), dict[str, float]()
-        kept = self.folder / f"seed-{seed}"
-        clock = Clock()
+        plain, rendering = open_capture(captured), (0.0, 0.0)
         with ExitStack() as held:
-            own = kept if row.option not in RENDERED else held.enter_context(scratch("pareto"))
-            capture = photographed(preset, own)
-            rendering = clock.read() if row.option in RENDERED else (0.0, 0.0)
-            if row.option in RENDERED:  # what samples and pixels change is the light alone
-                spent = read_json(own / "set" / "set.json")["seconds"]
+            capture = plain
+            if row.option in RENDERED:
+                clock, own = Clock(), held.enter_context(scratch("pareto"))
+                capture, rendering = photographed(preset, own), clock.read()
+                spent = read_json(own / "set" / "set.json")["seconds"]  # samples and pixels change the light alone
                 parts["render"] = rendering[1] * spent["radiance"] / sum(spent.values())
             # of a smaller render the error is that at full size; of a noisier one, against what it shows itself
-            plain = adapted(self.base, scene=f"{SCENE}:{seed}", seed=seed)
-            truth = photographed(plain, kept) if row.option == "size" else capture
+            truth = plain if row.option == "size" else capture
             config = preset.reconstruct(preset.methods[0])
             prepared = prepare(capture, capture.source(QUIET), config, QUIET)
             self._warm(prepared)
@@ -148,7 +160,7 @@ def turned_option(option: str, setting: Any) -> Mapping[str, Any]:
 
 
 def photographed(preset: Preset, folder: Path) -> Capture:
-    """The capture of a preset, made where it is missing."""
+    """The capture of a preset, made in `folder`."""
     stages.render(folder / "set", preset.render, QUIET)
     stages.capture(folder / "set", folder / "capture", preset.capture, QUIET)
     return open_capture(folder / "capture")

@@ -2,9 +2,14 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from novags.testbed.study.cells.presets import Preset
 
 Setting = str | int | float | None
+LARGEST = 1e100  # of a time or an error: their squares must be numbers too
 
 
 @dataclass(frozen=True)
@@ -23,6 +28,11 @@ class Measured:
     error: float
     parts: Mapping[str, float] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        for name in ("seconds", "cpu_seconds", "error"):
+            if not 0 <= getattr(self, name) <= LARGEST:
+                raise ValueError(f"{name} must be in 0..{LARGEST:g}, got {getattr(self, name):g}")
+
 
 @dataclass(frozen=True, kw_only=True)
 class Knob:
@@ -35,7 +45,8 @@ class Knob:
         unit: Of the error.
         of: What the seconds are of: "a view".
         why: Why the default is the default.
-        measure: (setting, seed) -> one measurement. The seed varies what a repetition may vary.
+        measure: (setting, seed, folder of the seed's capture where the subject has some) -> one measurement. The seed
+            varies what a repetition may vary.
         shared: Knobs with the same word here have one measurement of their defaults in common; None: with nobody.
         option: The option of `novags run` that the knob is, for `--budget`; None: it has none.
         parts: The parts of the work whose time a setting changes; what others take differs by chance.
@@ -47,7 +58,7 @@ class Knob:
     unit: str
     of: str
     why: str
-    measure: Callable[[Setting, int], Measured]
+    measure: Callable[[Setting, int, Path | None], Measured]
     shared: str | None = None
     option: str | None = None
     parts: tuple[str, ...] = ()
@@ -56,10 +67,10 @@ class Knob:
         if self.default not in self.settings or len(set(self.settings)) < len(self.settings):
             raise ValueError(f"the settings of {self.name} must be different ones and hold the default {self.default}")
 
-    def key(self, setting: Setting, seed: int) -> tuple[str, Setting, int]:
+    def called(self, setting: Setting) -> tuple[str, Setting]:
         """What a measurement is stored under."""
         common = self.shared is not None and setting == self.default
-        return (f"default of {self.shared}", None, seed) if common else (self.name, setting, seed)
+        return (f"default of {self.shared}", None) if common else (self.name, setting)
 
 
 @dataclass(frozen=True)
@@ -70,11 +81,19 @@ class Subject:
         name: render, sensor, ...
         workload: What they are measured on: scene, sizes, counts. Points of two workloads never meet in one curve.
         knobs: In the order of the page.
+        modules: The modules that measure, and those of the rows that they use.
+        pictured: The experiment whose capture a seed is measured on; None: none is needed.
     """
 
     name: str
     workload: Mapping[str, Any]
     knobs: tuple[Knob, ...]
+    modules: tuple[str, ...] = ()
+    pictured: "Callable[[int], Preset] | None" = None
+
+    def knob(self, name: str) -> Knob:
+        """The knob of a name, which is there."""
+        return next(knob for knob in self.knobs if knob.name == name)
 
 
 def spelled(workload: Mapping[str, Any]) -> str:

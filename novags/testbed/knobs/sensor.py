@@ -2,14 +2,12 @@
 
 from collections.abc import Callable
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from novags.testbed.console.terminal import Console
-from novags.testbed.pareto.clock import fastest
-from novags.testbed.pareto.knob import Knob, Measured, Setting, Subject
+from novags.testbed.knobs.clock import fastest
+from novags.testbed.knobs.knob import Knob, Measured, Setting, Subject
 from sensor_model.capture import expose
 from sensor_model.isp import develop_linear
 from sensor_model.mosaicking import mosaic
@@ -18,7 +16,7 @@ from sensor_model.planner import plan_effects
 from sensor_model.presets import PRESETS
 from sensor_model.radiometry import photons_for_electrons
 
-SIDE, SMALL, DEMOSAIC_SIDE, CALLS = 1000, 200, 512, 7
+DEMOSAIC_SIDE, CALLS = 512, 7
 LEVELS = (0.5, 2.0, 20.0, 200.0, 2000.0)
 EXPOSURE = Exposure(time=0.05)
 PLAIN = Sensor(gain=1.6, eta=0.9, mu_e_sat=9458.0, black_level=240.0, bits=14, sigma_d=2.0, cfa=None)
@@ -28,13 +26,12 @@ OTHER = 1000  # seeds of the frames that are compared with
 Image = np.ndarray
 
 
-def sensor(small: bool, folder: Path, console: Console) -> Subject:
-    """One frame each; without anything kept in `folder`."""
-    side = SMALL if small else SIDE
+def sensor(side: int) -> Subject:
+    """One frame of side x side pixels each."""
     fine = min(side, DEMOSAIC_SIDE)
     knobs = (*(_shot(level, side) for level in LEVELS), _light(side), _precision(side), _plan(side), _demosaic(fine))
     workload = {"frame": f"{side} x {side}", "demosaicing": f"{fine} x {fine}"}
-    return Subject("sensor", workload, knobs)
+    return Subject("sensor", workload, knobs, (__name__,))
 
 
 def _timed(take: Callable[[], Any], error: Callable[[Any], float], pixels: int) -> Measured:
@@ -53,7 +50,8 @@ def kolmogorov(a: Image, b: Image) -> float:
 
 def _knob(name: str, settings: tuple[Setting, ...], default: Setting, unit: str, why: str, measure: Any) -> Knob:
     return Knob(
-        name=name, settings=settings, default=default, unit=unit, of="a megapixel", why=why, measure=measure
+        name=name, settings=settings, default=default, unit=unit, of="a megapixel", why=why,
+        measure=lambda setting, seed, captured: measure(setting, seed),
     )  # fmt: skip
 
 

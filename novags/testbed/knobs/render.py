@@ -3,10 +3,10 @@
 from functools import cache
 from pathlib import Path
 
-from novags.testbed.console.terminal import Console
-from novags.testbed.pareto.knob import Knob, Measured, Setting, Subject
+from novags.testbed.knobs.knob import Knob, Measured, Setting, Subject
+from simscenes.scenes import SCENES
 
-SCENE, SIZE, SMALL = "tabletop", 32, 16
+SCENE = "tabletop"
 WHY = {
     "spp": "a set is rendered once and used for everything after it; --spp and --target-error say otherwise",
     "sampler": "its sequences go on for as long as a pixel needs, and two of them give the variance",
@@ -20,11 +20,9 @@ WHY = {
 }
 
 
-def render(small: bool, folder: Path, console: Console) -> Subject:
-    """Views of a scene of the catalogue; without anything kept in `folder`."""
+def render(size: int) -> Subject:
+    """Views of a scene of the catalogue, size x size pixels."""
     from simscenes.job import curves
-
-    size = SMALL if small else SIZE
 
     @cache
     def bench() -> curves.Bench:  # when the first measurement is due: it renders references
@@ -33,7 +31,7 @@ def render(small: bool, folder: Path, console: Console) -> Subject:
     def knob(name: str) -> Knob:
         settings, default = curves.settings_of(name)
 
-        def measured(setting: Setting, seed: int) -> Measured:
+        def measured(setting: Setting, seed: int, captured: Path | None) -> Measured:
             found = bench().measure(name, setting, seed)
             return Measured(found.seconds, found.cpu_seconds, found.error)
 
@@ -44,4 +42,6 @@ def render(small: bool, folder: Path, console: Console) -> Subject:
         )  # fmt: skip
 
     workload = {"scene": SCENE, "views": curves.N_VIEWS, "size": f"{size} x {size}", "spp": curves.DEFAULT.spp}
-    return Subject("render", workload, tuple(knob(name) for name in curves.KNOBS))
+    return Subject(
+        "render", workload, tuple(knob(name) for name in curves.KNOBS), (__name__, str(SCENES.module_of(SCENE)))
+    )

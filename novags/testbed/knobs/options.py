@@ -1,10 +1,9 @@
 """Options of an experiment as numbers: which of them a budget may change, and the experiment with them changed."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from novags.settings import flattened
-from novags.testbed.budget.choice import Option
 from novags.testbed.stages.configs.reconstructing import ReconstructConfig
 from novags.testbed.study.cells.presets import Preset, adapted
 
@@ -35,24 +34,6 @@ def values(preset: Preset) -> dict[str, int]:
 def _first(plans: Sequence[ReconstructConfig], name: str) -> int | None:
     open_here = (flattened(plan.config).get(name) for plan in plans if not plan.variant.decides(name))
     return next((value for value in open_here if value), None)
-
-
-def open_options(
-    preset: Preset, options: Mapping[str, Sequence[Option]], decided: Collection[str]
-) -> dict[str, list[Option]]:
-    """The options that a budget may choose, with the settings that make sense for a preset.
-
-    Args:
-        preset: The experiment.
-        options: What curves know.
-        decided: Options that the user has set.
-    """
-    own = values(preset)
-    found = {
-        name: [s for s in settings if s.share == 1 or own[name] * s.share >= LEAST[name]]
-        for name, settings in options.items() if name in own and name not in decided
-    }  # fmt: skip
-    return {name: settings for name, settings in found.items() if len(settings) > 1}
 
 
 def turned(preset: Preset, shares: Mapping[str, float]) -> Preset:

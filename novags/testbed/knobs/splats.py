@@ -3,19 +3,20 @@
 import json
 import os
 import subprocess
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from novags.testbed.console.terminal import Console
-from novags.testbed.pareto.knob import Knob, Measured, Setting, Subject
+from novags.testbed.knobs.knob import Knob, Measured, Setting, Subject
 from sensor_model.files.atomic import atomic
+from sensor_model.files.door import read_bytes
 from sensor_model.files.own import cache_folder
 from sensor_model.files.python import python
 from sensor_model.files.reading import brief
+from sensor_model.files.scratch import scratch
 
-COUNT, SIZE = 2000, 64
-SMALL_COUNT, SMALL_SIZE = 500, 32
-CHILD = "from novags.process import settle; settle(); from novags.testbed.pareto.splat_engine.child import main; main()"
+MODULE = "novags.testbed.knobs.splat_engine.child"
+CHILD = f"from novags.process import settle; settle(); from {MODULE} import main; main()"
 # Settings from the fastest on, the default, and why.
 KNOBS: dict[str, tuple[tuple[Setting, ...], Setting, str]] = {
     "alpha_min": (
@@ -36,40 +37,44 @@ KNOBS: dict[str, tuple[tuple[Setting, ...], Setting, str]] = {
 }  # fmt: skip
 
 
-def splats(small: bool, folder: Path, console: Console) -> Subject:
-    """Forward and backward passes over random Gaussians; truths are kept in `folder`."""
-    n, size = (SMALL_COUNT, SMALL_SIZE) if small else (COUNT, SIZE)
+def splats(n: int, size: int) -> Subject:
+    """Forward and backward passes over n random Gaussians, pictures of size x size pixels."""
 
     def knob(name: str) -> Knob:
         settings, default, why = KNOBS[name]
-        ends = tuple(s for s in settings if s in (settings[0], default, settings[-1]))  # each compiles for a while
 
-        def one(setting: Setting, seed: int) -> Measured:
-            return measured(folder, name, setting, n, size, seed)
+        def one(setting: Setting, seed: int, captured: Path | None) -> Measured:
+            return measured(name, setting, n, size, seed)
 
         return Knob(
-            name=name, settings=ends if small else settings, default=default, unit="RMSE of the picture",
-            of="a forward and a backward pass", why=why, measure=one,
-            shared=None if name == "eps2d" else "a picture",
+            name=name, settings=settings, default=default, unit="RMSE of the picture",
+            of="a forward and a backward pass", why=why, measure=one, shared=None if name == "eps2d" else "a picture",
         )  # fmt: skip
 
     workload = {"Gaussians": n, "size": f"{size} x {size}", "harmonics": "degree 3"}
-    return Subject("splats", workload, tuple(knob(name) for name in KNOBS))
+    return Subject("splats", workload, tuple(knob(name) for name in KNOBS), (__name__, MODULE))
 
 
-def measured(folder: Path, knob: str, setting: Setting, n: int, size: int, seed: int) -> Measured:
-    """One setting, against the truth of this seed, which is made first if it is not there."""
-    supersampled = knob == "eps2d"  # dilation stands in for a filter over the pixel
-    truth = folder / f"truth-{n}-{size}-{seed}{'-supersampled' if supersampled else ''}.npy"
-    common = {"n": n, "size": size, "seed": seed}
-    if not truth.exists():
-        with atomic(truth) as file:
-            make = {"do": "truth", "out": str(file), "supersampled": supersampled, **common}
-            in_child(make, "default")
+def measured(knob: str, setting: Setting, n: int, size: int, seed: int) -> Measured:
+    """One setting, against the truth of this seed."""
     changed = knob in ("alpha_min", "transmittance_min", "exp2_degree", "tile") and setting != KNOBS[knob][1]
     code = f"{knob}-{setting:.3g}" if changed else "default"
-    order = {"do": "measure", "knob": knob, "setting": setting, "changed": changed, "truth": str(truth), **common}
-    return Measured(**in_child(order, code))
+    with scratch("pareto") as folder:
+        file = folder / "truth.npy"
+        with atomic(file) as temporary:  # dilation stands in for a filter over the pixel
+            temporary.write_bytes(truth(n, size, seed, supersampled=knob == "eps2d"))
+        order = {"do": "measure", "knob": knob, "setting": setting, "changed": changed, "truth": str(file), "n": n,
+                 "size": size, "seed": seed}  # fmt: skip
+        return Measured(**in_child(order, code))
+
+
+@lru_cache(maxsize=2)  # all settings of a seed are measured after each other
+def truth(n: int, size: int, seed: int, supersampled: bool) -> bytes:
+    """The file of the picture that settings are compared with."""
+    with scratch("pareto") as folder:
+        order = {"do": "truth", "out": str(folder / "truth.npy"), "n": n, "size": size, "seed": seed}
+        in_child({**order, "supersampled": supersampled}, "default")
+        return read_bytes(folder / "truth.npy")
 
 
 def in_child(order: dict[str, Any], code: str) -> dict[str, Any]:
