@@ -26,7 +26,7 @@ import torch
 from splats_bench.scenes import best, common_scene
 
 from novags.process import settle
-from novags.testbed.knobs.splat_engine.scene import cube_scene
+from novags.testbed.study.knobs.splat_engine.scene import cube_scene
 
 SIZES = (128, 256, 512, 1024)
 COUNTS = (1_000, 10_000, 100_000, 1_000_000)

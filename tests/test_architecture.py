@@ -48,8 +48,6 @@ LAYERS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("stages",),
         ("study",),
         ("report",),
-        ("pareto",),
-        ("budget",),
         ("viewer",),
         ("flight", "dataset"),
     ),

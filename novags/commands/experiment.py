@@ -144,9 +144,9 @@ def _within(
     wait: bool, overwrite: bool, dry_run: bool,
 ) -> None:  # fmt: skip
     """Run an experiment in a given time; `whole`: where the same one without a budget lies, if it was run."""
-    from novags.testbed.budget import conduct
-    from novags.testbed.budget.duration import seconds_of
     from novags.testbed.report.page import write_report
+    from novags.testbed.study.budget import conduct
+    from novags.testbed.study.budget.duration import seconds_of
 
     request = conduct.Request(preset, seconds_of(budget), given, curves)
     folder = whole.with_name(f"{whole.name}-{request.budget:g}s") if out is None else out

@@ -37,8 +37,8 @@ def pareto(
     """
     from novags.numbers import check_range
     from novags.testbed.ledger.dry import planned
-    from novags.testbed.pareto.page import written
-    from novags.testbed.pareto.study import again, plans, subject_of, told
+    from novags.testbed.report.curves.page import written
+    from novags.testbed.study.curves.study import again, plans, subject_of, told
     from novags.testbed.study.session import refuse_other
 
     check_range("repeats", 1 if repeats is None else repeats, 1, 1000)
@@ -64,10 +64,10 @@ def pareto(
 
 def _measured(plan: "Plan", out: Path, store: Path, console: "Console") -> int:
     """Measure what is missing and write the curves; returns how many failed, which the next start tries again."""
-    from novags.testbed.knobs.subjects import subject_of
-    from novags.testbed.pareto.page import write
+    from novags.testbed.report.curves.page import write
     from novags.testbed.study.conduct import conduct
     from novags.testbed.study.engines.choice import OneMachine
+    from novags.testbed.study.knobs.subjects import subject_of
     from novags.testbed.study.results import CSV
     from novags.testbed.study.session import describe
 

@@ -66,8 +66,8 @@ def _ends(place: Path, folder: Path) -> set[str]:
     """The ends of the names of the entries that a study refers to."""
     from novags.testbed.ledger.contents import read_json
     from novags.testbed.ledger.pruning import KEY
-    from novags.testbed.pareto.measuring import read_any
     from novags.testbed.study.conduct import STUDY
+    from novags.testbed.study.curves.measuring import read_any
     from novags.testbed.study.plan import plan_of
     from novags.testbed.study.session import SHAPE
 

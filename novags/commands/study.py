@@ -52,7 +52,7 @@ def study(
     with ExitStack() as stack:
         ahead = stack.enter_context(started_ahead(workers)) if engine == "local" and not dry_run else []
         read_toml(file)  # says at once if it cannot be parsed; what comes next takes seconds to load
-        from novags.testbed.pareto.measuring import read_any
+        from novags.testbed.study.curves.measuring import read_any
         from novags.testbed.study.plan import plan_of
 
         url = store if store is not None and "://" in store else None

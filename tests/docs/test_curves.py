@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from novags.testbed.budget.known import SHIPPED
-from novags.testbed.pareto.curve import read_curves
-from novags.testbed.pareto.page import embedded
+from novags.testbed.report.curves.page import embedded
+from novags.testbed.study.budget.known import SHIPPED
+from novags.testbed.study.curves.curve import read_curves
 
 PAGE = Path(__file__).parents[2] / "docs" / "accuracy-and-time.md"
 

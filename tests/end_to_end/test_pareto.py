@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from novags.testbed.pareto.curve import read_curves
+from novags.testbed.study.curves.curve import read_curves
 
 
 def novags(*words: str | Path, cwd: Path) -> subprocess.CompletedProcess[str]:
@@ -44,7 +44,7 @@ def test_a_subject_is_measured_whole_and_only_once(what: str, tmp_path: Path) ->
 @pytest.mark.slow
 def test_the_tile_of_a_kernel_and_its_reference_change_the_time_and_not_the_picture(tmp_path: Path) -> None:
     """A constant that is changed in some modules only would draw another picture."""
-    module = import_module("novags.testbed.knobs.splats")  # the package's own name is the subject
+    module = import_module("novags.testbed.study.knobs.splats")  # the package's own name is the subject
     found = {
         (knob, setting): module.measured(knob, setting, 300, 32, 0).error
         for knob, setting in (("tile", 8), ("tile", 16), ("backend", "torch"), ("alpha_min", 1 / 2550))

@@ -305,11 +305,11 @@ def test_the_next_command_is_one_that_a_shell_takes_whatever_the_folder_is_calle
 def test_commands_that_messages_advise_are_such_that_a_shell_takes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from novags.testbed.budget.known import known
     from novags.testbed.console.terminal import Console
     from novags.testbed.report import place
     from novags.testbed.stages import import_photographs
     from novags.testbed.stages.configs.importing import ImportConfig
+    from novags.testbed.study.budget.known import known
 
     folder = tmp_path / "Fotos ä (1)"
     folder.mkdir()

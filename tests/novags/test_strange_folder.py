@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from novags.testbed.knobs.splats import in_child
 from novags.testbed.study.engines.processes import TASKS, Worker
+from novags.testbed.study.knobs.splats import in_child
 
 ROOT = Path(__file__).resolve().parents[2]
 HOSTILE = ("json", "signal", "sitecustomize", "drjit", "mitsuba", "torch", "numba", "cv2", "numpy", "scipy", "PIL",

@@ -13,7 +13,6 @@ from novags.settings import flattened
 from novags.testbed.console.devices import chosen_device
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders.set import for_photographs, open_source
-from novags.testbed.knobs.measurement import Measurement
 from novags.testbed.ledger.contents import digest, folder_digest
 from novags.testbed.ledger.store import key_of, named
 from novags.testbed.stages.configs.capturing import CaptureConfig
@@ -28,6 +27,7 @@ from novags.testbed.stages.rendering import scene_digest
 from novags.testbed.study.cells.grid import Cell, Study
 from novags.testbed.study.cells.presets import Preset
 from novags.testbed.study.entry import Task
+from novags.testbed.study.knobs.measurement import Measurement
 from sensor_model.files.dng import SMALLEST
 from sensor_model.files.door import resolved
 from sensor_model.files.reading import brief

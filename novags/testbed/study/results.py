@@ -9,11 +9,11 @@ from typing import Any
 from novags.testbed.console.csv_text import as_csv
 from novags.testbed.folders import shapes
 from novags.testbed.folders.run import METRICS
-from novags.testbed.knobs.measurement import read_measured
 from novags.testbed.ledger.contents import read_json, write_json
 from novags.testbed.ledger.store import read_seal
 from novags.testbed.stages.scores.scoring import recovered_fractions
 from novags.testbed.study.entry import Task
+from novags.testbed.study.knobs.measurement import read_measured
 from novags.testbed.study.plan import Plan
 from sensor_model.files.atomic import write_text
 

@@ -10,7 +10,6 @@ from novags.testbed.console.terminal import Console
 from novags.testbed.folders import capture as captures
 from novags.testbed.folders import run as runs
 from novags.testbed.folders.set import for_photographs
-from novags.testbed.knobs.measurement import MEASURED, measure
 from novags.testbed.ledger.code import code_of
 from novags.testbed.metrics.perceptual import PerceptualDistance
 from novags.testbed.stages.command import run_command
@@ -20,6 +19,7 @@ from novags.testbed.stages.configs.posing import PosesConfig
 from novags.testbed.stages.configs.rendering import RenderConfig
 from novags.testbed.stages.layouts import RECORD as SET
 from novags.testbed.study.entry import Order, Step, Steps, Task, ensure
+from novags.testbed.study.knobs.measurement import MEASURED, measure
 
 
 def make(order: Order, console: Console) -> dict[str, Any]:

@@ -26,10 +26,10 @@ def make_curves(folder: Path) -> None:
 
 def read_curves(folder: Path, file: Path) -> object:
     """As a budget and the page of curves do."""
-    from novags.testbed.budget.choice import choose
-    from novags.testbed.budget.known import known
-    from novags.testbed.pareto.curve import read_curves
-    from novags.testbed.pareto.page import embedded
+    from novags.testbed.report.curves.page import embedded
+    from novags.testbed.study.budget.choice import choose
+    from novags.testbed.study.budget.known import known
+    from novags.testbed.study.curves.curve import read_curves
 
     options = known(folder).options
     chosen = choose({"fit": 10.0, "denoiser": 5.0, "fixed": 1.0}, options, 9.0)
@@ -38,7 +38,7 @@ def read_curves(folder: Path, file: Path) -> object:
 
 
 def make_state(folder: Path) -> None:
-    from novags.testbed.budget.conduct import Request
+    from novags.testbed.study.budget.conduct import Request
     from novags.testbed.study.cells.presets import EXPERIMENTS
 
     state = {
@@ -51,9 +51,9 @@ def make_state(folder: Path) -> None:
 
 def read_state(folder: Path, file: Path) -> object:
     """As a budget does that was interrupted, and one that is done."""
-    from novags.testbed.budget.conduct import Request, begun, result
-    from novags.testbed.knobs.options import turned
+    from novags.testbed.study.budget.conduct import Request, begun, result
     from novags.testbed.study.cells.presets import EXPERIMENTS
+    from novags.testbed.study.knobs.options import turned
 
     request = Request(EXPERIMENTS["demo"], 60.0)
     if (state := begun(request, folder)) is None:
@@ -69,10 +69,10 @@ def make_measured(folder: Path) -> None:
 
 def read_one(folder: Path, file: Path) -> object:
     """As the table of a study of measurements and its curves do."""
-    from novags.testbed.knobs.measurement import read_measured
-    from novags.testbed.pareto.curve import curves
-    from novags.testbed.pareto.figure import figure
-    from novags.testbed.pareto.table import tables
+    from novags.testbed.report.curves.figure import figure
+    from novags.testbed.report.curves.table import tables
+    from novags.testbed.study.curves.curve import curves
+    from novags.testbed.study.knobs.measurement import read_measured
 
     subject, found = _subject(), read_measured(folder)
     parts = {f"parts.{name}": value for name, value in found.parts.items()}
@@ -84,7 +84,7 @@ def read_one(folder: Path, file: Path) -> object:
 
 
 def _subject():  # type: ignore[no-untyped-def]  # of a module that is imported late
-    from novags.testbed.knobs.knob import Knob, Measured, Subject
+    from novags.testbed.study.knobs.knob import Knob, Measured, Subject
 
     knob = Knob(
         name="k", settings=(1, 2, 4), default=2, unit="%", of="it", why="so",
@@ -95,9 +95,6 @@ def _subject():  # type: ignore[no-untyped-def]  # of a module that is imported 
 
 def _prepare() -> None:
     import torch
-
-    import novags.testbed.budget.conduct
-    import novags.testbed.pareto.page  # noqa: F401
 
     torch.set_num_threads(1)
 

@@ -24,10 +24,10 @@ from typing import Any, Literal
 from novags.methods import with_variants
 from novags.methods.variant import Variant, dotted
 from novags.testbed.importing.published.named import DataFolder
-from novags.testbed.knobs.measurement import Measurement
 from novags.testbed.stages.configs.command import read_commands
 from novags.testbed.study.cells.axes import Changes, applied, changes_of, check_keys, scene_identity
 from novags.testbed.study.cells.presets import EXPERIMENTS, Preset, variants_in
+from novags.testbed.study.knobs.measurement import Measurement
 from sensor_model.files.door import resolved
 from sensor_model.files.reading import brief
 from sensor_model.files.toml_file import read_toml

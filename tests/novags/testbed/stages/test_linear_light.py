@@ -25,12 +25,12 @@ from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.folders.exposures import exposures_of
 from novags.testbed.folders.references import enhanced_truth, pictured, references
 from novags.testbed.folders.run import CHECKPOINTS, Run, open_run
-from novags.testbed.knobs.reconstruction import held_out_error
 from novags.testbed.metrics.images import aligned_psnr, image_scores
 from novags.testbed.report.page import write_report
 from novags.testbed.stages.configs.capturing import CaptureConfig
 from novags.testbed.stages.configs.reconstructing import ReconstructConfig
 from novags.testbed.stages.reconstructing import prepare
+from novags.testbed.study.knobs.reconstruction import held_out_error
 from novags.testbed.viewer.splats import scene_of
 from simscenes import orbit_rig
 from simscenes.sets.multiview import write_cameras

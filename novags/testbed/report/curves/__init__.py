@@ -1,0 +1,1 @@
+"""Curves as tables, figures and a page."""

@@ -1,0 +1,91 @@
+"""The studies behind curves: the file of each subject that ships, what of it is missing, and why something is again."""
+
+import os
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from novags.testbed.console.terminal import Console
+from novags.testbed.ledger.contents import read_json
+from novags.testbed.ledger.difference import from_request, listed
+from novags.testbed.ledger.dry import NOT_DONE
+from novags.testbed.ledger.made import made_with
+from novags.testbed.ledger.stage import MADE
+from novags.testbed.study.conduct import there
+from novags.testbed.study.curves.measuring import measurements_of
+from novags.testbed.study.knobs.measurement import MEASURED
+from novags.testbed.study.knobs.subjects import PARTS, chosen
+from novags.testbed.study.plan import Plan, plan_of
+from novags.testbed.study.results import JSON, ROWS
+from sensor_model.files.toml_file import read_toml
+
+STUDIES = Path(__file__).parent / "studies"
+
+
+def plans(
+    what: str, store: Path, console: Console, *, knobs: Sequence[str] = (), quick: bool = False,
+    repeats: int | None = None,
+) -> list[Plan]:  # fmt: skip
+    """What there is to measure, and what is measured already.
+
+    Args:
+        what: A subject, "all", or a study file of one's own.
+        store: The store.
+        console: Where notes go.
+        knobs: Those to measure; none: all. What the store has of others is kept.
+        quick: With small sizes.
+        repeats: Seeds, 0 to repeats - 1; None: those of the file. What the store has of further ones is kept.
+
+    Raises:
+        ValueError: If there is no such subject or knob.
+    """
+    seeds = None if repeats is None else range(repeats)
+    if what.endswith(".toml"):
+        asked = [plan_of(measurements_of(Path(what), read_toml(Path(what)), quick=quick, seeds=seeds), store, console)]
+    else:
+        asked = [_with_kept(name, quick, seeds, store, console) for name in chosen(what)]
+    return [plan.only(knobs, there(plan, store)) for plan in asked]
+
+
+def _with_kept(name: str, quick: bool, seeds: Sequence[int] | None, store: Path, console: Console) -> Plan:
+    """The study of a subject, with what the store has of further seeds."""
+    file = STUDIES / f"{name if name in PARTS else 'method'}.toml"
+    table = read_toml(file)
+
+    def planned(wanted: Sequence[int] | None) -> Plan:
+        return plan_of(measurements_of(file, table, subject=name, quick=quick, seeds=wanted), store, console)
+
+    plan = planned(seeds)
+    while there(more := planned([max(plan.study.axes["seed"]) + 1]), store) & more.ends:
+        plan = planned([*plan.study.axes["seed"], *more.study.axes["seed"]])
+    return plan
+
+
+def subject_of(plan: Plan) -> str:
+    """The name of what is measured."""
+    return str(plan.study.table["measure"]["subject"])
+
+
+def told(plan: Plan, store: Path) -> Iterator[str]:
+    """How many measurements of each knob are missing."""
+    known, name = there(plan, store), subject_of(plan)
+    for knob in plan.study.axes["knob"]:
+        keys = {key for cell, key in plan.runs if cell.values["knob"] == knob}
+        if count := len(keys - known):
+            yield f"pareto {name}: {knob}: {count} measurements to be made, {len(keys & known)} kept {NOT_DONE}"
+        elif keys:
+            yield f"pareto {name}: {knob}: unchanged, kept {len(keys)} measurements"
+
+
+def again(plan: Plan, out: Path) -> str:
+    """Why what the table in `out` has is measured again; "" if it is not."""
+    rows = read_json(out / JSON, ROWS)["rows"] if (out / JSON).exists() else []
+    before = {tuple(row.get(name) for name in plan.study.axes): row["folder"] for row in rows if row["state"] == "done"}
+    for cell, key in plan.runs:
+        task = plan.tasks[key]
+        folder = out / before.get(tuple(cell.values.values()), "")
+        if folder == out or folder.name == task.name or not os.path.exists(folder / MEASURED):
+            continue
+        stage = read_json(folder / MEASURED, MADE).get("stage", {})
+        changed = made_with(folder, MEASURED).changed_in(task.config.code)
+        return listed([*from_request(stage, task.config.resolved(), {}), *([changed] if changed else [])])
+    return ""

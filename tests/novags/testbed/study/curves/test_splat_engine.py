@@ -1,0 +1,57 @@
+"""Each setting of the splat engine's constants has machine code of its own; their defaults have that of the engine."""
+
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from novags.testbed.study.knobs.splat_engine import child
+from novags.testbed.study.knobs.splat_engine.scene import NAMES
+
+splats = import_module("novags.testbed.study.knobs.splats")  # the package's own name is the subject
+
+
+@pytest.mark.parametrize("knob", splats.KNOBS)
+def test_machine_code_that_knobs_share_is_that_of_unchanged_constants(
+    knob: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rationale: code that a refitted polynomial was compiled into would serve all other knobs."""
+    asked: list[tuple[dict[str, Any], Path]] = []
+
+    def in_child(order: dict[str, Any], code: str) -> dict[str, Any]:
+        asked.append((order, code))
+        if order["do"] == "truth":
+            Path(order["out"]).write_bytes(b"truth")
+        else:
+            assert Path(order["truth"]).read_bytes() == b"truth"
+        return {"seconds": 1.0, "cpu_seconds": 1.0, "error": 0.0}
+
+    monkeypatch.setattr(splats, "in_child", in_child)
+    splats.truth.cache_clear()
+    for setting in splats.KNOBS[knob][0]:
+        splats.measured(knob, setting, 8, 8, 0)
+    splats.truth.cache_clear()
+    assert sum(order["do"] == "truth" for order, _ in asked) == 1
+    measures = [(order, code) for order, code in asked if order["do"] == "measure"]
+    assert [order["changed"] for order, _ in measures] == [code != "default" for _, code in measures]
+    assert len({code for order, code in measures if order["changed"]}) == sum(o["changed"] for o, _ in measures)
+
+
+@pytest.mark.parametrize("changed", [False, True])
+def test_constants_are_changed_where_the_machine_code_is_a_settings_own(
+    changed: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    turned: list[Any] = []
+
+    def draw(scene: dict[str, torch.Tensor], Ks: torch.Tensor, width: int, height: int, **_: Any) -> torch.Tensor:
+        shade: Any = sum(scene[name].sum() for name in NAMES)
+        return shade * torch.ones(height, width, 3)
+
+    monkeypatch.setattr(child, "turn", lambda *given: turned.append(given))
+    monkeypatch.setattr(child, "draw", draw)
+    np.save(tmp_path / "truth.npy", np.zeros((8, 8, 3)))
+    child.measure("exp2_degree", 5, changed=changed, n=4, size=8, seed=0, truth=str(tmp_path / "truth.npy"))
+    assert turned == ([("exp2_degree", 5)] if changed else [])
