@@ -13,7 +13,7 @@ the study in an empty store: a result that was kept and comes out with other byt
 occur. What fails there alone gives no other bytes; it is told.
 
 One line of JSON an edit lies in OUT/edits.jsonl as soon as it is known; the same command goes on after it was stopped,
-with the sources that it began with (OUT/sources). --report says what is known so far.
+with the sources that it began with (OUT/whole). --report says what is known so far.
 """
 
 import argparse
@@ -72,6 +72,11 @@ class Place:
     limit: float
 
     @property
+    def whole(self) -> Path:
+        """A copy of the sources as they are."""
+        return self.out / "whole"
+
+    @property
     def sources(self) -> Path:
         """The copy that is edited."""
         return self.out / "sources"
@@ -113,9 +118,12 @@ def prepare(place: Place) -> dict[str, Any]:
     """Copy the sources and make the study with them, once; returns the bytes and the files of every result."""
     known = place.out / "base.json"
     if not known.exists():
-        shutil.rmtree(place.sources, ignore_errors=True)
+        shutil.rmtree(place.whole, ignore_errors=True)
         for package in PACKAGES:
-            shutil.copytree(ROOT / package, place.sources / package, ignore=shutil.ignore_patterns("__pycache__"))
+            shutil.copytree(ROOT / package, place.whole / package, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.rmtree(place.sources, ignore_errors=True)  # who was killed has left its edit there
+    shutil.copytree(place.whole, place.sources)
+    if not known.exists():
         first, again = place.made(None), place.made(None)
         if first.failed or first.bytes != again.bytes:
             raise SystemExit(f"the study fails, or differs from one time to the next: {first.failed or again.failed}")
