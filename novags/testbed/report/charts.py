@@ -72,7 +72,9 @@ def line_chart(series: Series, keys: Mapping[str, str], *, x_label: str, y_label
     points = [p for line in series.values() for p in line if p[1] > 0]
     if not points:
         raise ValueError("a line chart needs at least one point with y > 0")
-    x_max, (low, high) = max(x for x, _ in points) or 1.0, _log_range([y for _, y in points])
+    x_max, logs = max(x for x, _ in points) or 1.0, [math.log10(y) for _, y in points]
+    pad = max(0.05 * (max(logs) - min(logs)), 0.02)  # a constant line still needs a height
+    low, high = min(logs) - pad, max(logs) + pad
     frame, parts, told = Frame(scale(0.0, x_max), scale(low, high, math.log10)), list[str](), list[Told]()
     for number, (name, line) in enumerate(series.items()):
         pieces = [list(piece) for drawn, piece in groupby(line, lambda point: point[1] > 0) if drawn]
@@ -82,12 +84,6 @@ def line_chart(series: Series, keys: Mapping[str, str], *, x_label: str, y_label
         told.append((name, keys[name], [(*frame.at(x, y), f"{x:g}", f"{y:.4g}") for x, y in line if y > 0]))
     across, up = ([(tick, f"{tick:g}") for tick in found] for found in (ticks(0.0, x_max), log_ticks(low, high)))
     return frame.drawn(parts, told, across, up, x_label=x_label, y_label=y_label, title=title)
-
-
-def _log_range(values: Sequence[float]) -> tuple[float, float]:
-    low, high = math.log10(min(values)), math.log10(max(values))
-    pad = max(0.05 * (high - low), 0.02)  # a constant line still needs a height
-    return low - pad, high + pad
 
 
 def log_ticks(low: float, high: float) -> list[float]:

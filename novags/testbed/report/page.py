@@ -13,15 +13,7 @@ from novags.testbed.console.terminal import Console
 from novags.testbed.folders.experiment import REPORT, experiments_in
 from novags.testbed.ledger.contents import digest, jsonable
 from novags.testbed.ledger.dry import planned
-from novags.testbed.report.blocks.configuration import configuration, departures, failed
-from novags.testbed.report.blocks.cost import cost
-from novags.testbed.report.blocks.header import header
-from novags.testbed.report.blocks.light import files_in, light, light_files
-from novags.testbed.report.blocks.look import look
-from novags.testbed.report.blocks.scores import scores
-from novags.testbed.report.blocks.signal import signal
-from novags.testbed.report.blocks.simulated import simulated
-from novags.testbed.report.blocks.training import cameras, flat, training
+from novags.testbed.report.blocks import configuration, cost, header, light, look, scores, signal, simulated, training
 from novags.testbed.report.look.album import Album, files_of
 from novags.testbed.report.material import Material, material_of
 from novags.testbed.report.parts import Block, Page
@@ -33,19 +25,19 @@ from sensor_model.files.door import read_bytes, resolved
 from sensor_model.files.lock import locked
 
 BLOCKS = (  # of every page, in this order: what is taken out here is on no page
-    Block("header", header),
-    Block("look", look),
-    Block("scores", scores),
-    Block("light", light, light_files),
-    Block("failed", failed),
-    Block("cameras", cameras),
-    Block("flat", flat),
-    Block("training", training),
-    Block("cost", cost),
-    Block("signal", signal),
-    Block("simulated", simulated),
-    Block("departures", departures),
-    Block("configuration", configuration),
+    Block("header", header.header),
+    Block("look", look.look),
+    Block("scores", scores.scores),
+    Block("light", light.light, light.light_files),
+    Block("failed", configuration.failed),
+    Block("cameras", training.cameras),
+    Block("flat", training.flat),
+    Block("training", training.training),
+    Block("cost", cost.cost),
+    Block("signal", signal.signal),
+    Block("simulated", simulated.simulated),
+    Block("departures", configuration.departures),
+    Block("configuration", configuration.configuration),
 )
 
 
@@ -104,7 +96,7 @@ def write_study(folder: Path, out: Path | None = None, *, overwrite: bool = Fals
     if resolved(path) != resolved(folder / REPORT) and not overwrite and not (
         path.exists() and identity_of(path) == identity
     ):  # fmt: skip
-        beside = [] if resolved(path.parent) == resolved(folder) else files_in(path.parent, material.axes)
+        beside = [] if resolved(path.parent) == resolved(folder) else light.files_in(path.parent, material.axes)
         if found := [file for file in (path, *beside) if file.exists()]:
             raise ValueError(f"{found[0]} already exists and is not of a report on this study: choose another --out, "
                              "or add --overwrite")  # fmt: skip

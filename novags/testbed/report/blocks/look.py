@@ -31,7 +31,9 @@ def look(material: Material, page: Page) -> dict[str, Any] | None:
                 page.views[name, run] = mine[0].name
     left, right = (list(dict.fromkeys(keys)) for keys in first)
     page.data.update(left=[*left, "enhanced"], right=[*right, "truth-lit"])
-    return {"views": views, "unseen": unseen, "error_ceiling": ERROR_CEILING} if views or unseen else None
+    kinds = {tile.key.partition("-")[0] for view in views for tile in view.tiles}
+    found = {"views": views, "unseen": unseen, "kinds": kinds, "error_ceiling": ERROR_CEILING}
+    return found if views or unseen else None
 
 
 def _views(place: Place, name: str, page: Page, done: int, places: int) -> list[ViewTiles]:

@@ -52,19 +52,6 @@ class ViewTiles:
     probe: dict[str, Any] | None = None  # the header of its pixels' numbers; None without raw frames
     data: Script | None = None  # these numbers
 
-    @property
-    def has_depth(self) -> bool:
-        """Whether there is a map of depth among its pictures."""
-        return self._has("depth-")
-
-    @property
-    def has_error(self) -> bool:
-        """Whether there is a map of errors among its pictures, which needs a truth."""
-        return self._has("error-")
-
-    def _has(self, kind: str) -> bool:
-        return any(tile.key.startswith(kind) for tile in self.tiles)
-
 
 @dataclass
 class _Tiles:
