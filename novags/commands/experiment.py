@@ -144,19 +144,32 @@ def _within(
     wait: bool, overwrite: bool, dry_run: bool,
 ) -> None:  # fmt: skip
     """Run an experiment in a given time; `whole`: where the same one without a budget lies, if it was run."""
+    from novags.testbed.ledger.dry import NOT_DONE, planned
     from novags.testbed.report.page import write_report
-    from novags.testbed.study.budget import conduct
+    from novags.testbed.study import place
     from novags.testbed.study.budget.duration import seconds_of
+    from novags.testbed.study.budget.said import after
+    from novags.testbed.study.budget.within import RECORD, Request, told, within
 
-    request = conduct.Request(preset, seconds_of(budget), given, curves)
+    request = Request(preset, seconds_of(budget), given, curves)
     folder = whole.with_name(f"{whole.name}-{request.budget:g}s") if out is None else out
     with writing(folder, wait, dry_run=dry_run) as console:
+        place.refuse_impossible(preset)
         if dry_run:
-            conduct.tell(request, folder, console, overwrite=overwrite)
+            chosen, lines = told(request, folder, console, overwrite=overwrite)
+            for line in lines:
+                console.note(line if chosen else f"{line} {NOT_DONE}")
+            if chosen is None:
+                planned(console, "budget", [folder / RECORD])
+            else:
+                place.said(chosen, folder, console, overwrite=overwrite)
             return
-        page = conduct.run(request, folder, console, report=write_report, command=command_line(folder),
-                           overwrite=overwrite)  # fmt: skip
-    for line in conduct.result(request, folder, whole):
+        with within(request, folder, console, place.run, overwrite=overwrite) as under_way:
+            place.photograph(under_way.preset, folder, console, overwrite=overwrite)
+            under_way.adjust()
+            page = place.run(under_way.preset, folder, console, report=write_report, command=command_line(folder),
+                             overwrite=overwrite)  # fmt: skip
+    for line in after(preset, folder, under_way.state, whole):
         say(line)
     announce(page)
 

@@ -56,7 +56,8 @@ def pareto(
                     console.note(line)
             else:
                 failed += _measured(plan, out, folder, console)
-        planned(console, "pareto", dict.fromkeys(path for plan in found for path in written(subject_of(plan), out)))
+        names = [subject_of(plan) for plan in found]
+        planned(console, "pareto", dict.fromkeys(path for name in names for path in (*written(name, out), out / name)))
         next_(f"look at {out}, or: novags run --budget 120s --curves {typed(out)}")
         if failed:
             raise SystemExit(1)

@@ -1,6 +1,7 @@
 """Curves and budgets by their commands, with real work at the smallest size."""
 
 import json
+import re
 import subprocess
 import sys
 from importlib import import_module
@@ -72,10 +73,8 @@ def test_an_experiment_with_a_budget_is_chosen_done_and_said(tmp_path: Path) -> 
 
 
 @pytest.mark.slow
-def test_a_budget_that_nothing_fits_into_is_one_line_with_the_least_time(tmp_path: Path) -> None:
+def test_a_budget_that_nothing_fits_into_is_one_line_with_one_that_will_do(tmp_path: Path) -> None:
     done = novags("run", "--budget", "3s", "--out", "out/x", cwd=tmp_path)
     assert done.returncode == 2
     last = done.stderr.strip().splitlines()[-1]
-    assert last.startswith(
-        "novags: error: a budget of 3 s is too small: trying the experiment on a small scale alone takes more"
-    )
+    assert re.fullmatch(r"novags: error: a budget of 3 s is too small here; \d+ s will do, or give more time, .*", last)

@@ -38,7 +38,7 @@ def read_curves(folder: Path, file: Path) -> object:
 
 
 def make_state(folder: Path) -> None:
-    from novags.testbed.study.budget.conduct import Request
+    from novags.testbed.study.budget.within import Request
     from novags.testbed.study.cells.presets import EXPERIMENTS
 
     state = {
@@ -51,7 +51,8 @@ def make_state(folder: Path) -> None:
 
 def read_state(folder: Path, file: Path) -> object:
     """As a budget does that was interrupted, and one that is done."""
-    from novags.testbed.study.budget.conduct import Request, begun, result
+    from novags.testbed.study.budget.said import after
+    from novags.testbed.study.budget.within import Request, begun
     from novags.testbed.study.cells.presets import EXPERIMENTS
     from novags.testbed.study.knobs.options import turned
 
@@ -59,7 +60,7 @@ def read_state(folder: Path, file: Path) -> object:
     if (state := begun(request, folder)) is None:
         return None
     preset = turned(request.preset, state["shares"])
-    return state, preset, result(request, folder, None) if "seconds" in state else None
+    return state, preset, after(preset, folder, state, None) if "seconds" in state else None
 
 
 def make_measured(folder: Path) -> None:

@@ -50,10 +50,6 @@ class Choice:
     lost: float
     sd: float
 
-    def share(self, name: str) -> float:
-        """Share of the preset's own value; 1 for an option that is not there."""
-        return next((option.share for option in self.options if option.name == name), 1.0)
-
 
 def seconds_of(parts: Mapping[str, float], options: Sequence[Option]) -> float:
     """What an experiment takes whose parts take so long with the preset's own settings."""
@@ -115,25 +111,22 @@ def _at(parts: Mapping[str, float], options: Mapping[str, Sequence[Option]], pla
 
 
 def refined(settings: Sequence[Option]) -> list[Option]:
-    """Settings of one option with others interpolated between neighbours, along the logarithm of the share.
-
-    The spread of an interpolated one is the larger of its neighbours'.
-    """
-    ordered = sorted(settings, key=lambda option: option.share)
-    found = ordered[:1]
-    for low, high in pairwise(ordered):
-        for k in range(1, BETWEEN + 1):
-            found.append(between(low, high, k / (BETWEEN + 1)))
-        found.append(high)
-    return found
+    """Settings of one option with others interpolated between neighbours, along the logarithm of the share."""
+    shares = sorted(option.share for option in settings)
+    steps = [k / (BETWEEN + 1) for k in range(BETWEEN + 1)]
+    finer = [low ** (1 - t) * high**t for low, high in pairwise(shares) for t in steps]
+    return [along(settings, share) for share in (*finer, shares[-1])]
 
 
-def between(low: Option, high: Option, t: float) -> Option:
-    """The setting a part `t` of the way from one to the other, along the logarithm of the share."""
-    parts = low.factors.keys() & high.factors.keys()
+def along(curve: Sequence[Option], share: float) -> Option:
+    """A curve at a share that it reaches. The spread of an interpolated setting is the larger of its neighbours'."""
+    low = max((option for option in curve if option.share <= share), key=lambda option: option.share)
+    high = min((option for option in curve if option.share >= share), key=lambda option: option.share)
+    t = 0.0 if low.share == high.share else math.log(share / low.share) / math.log(high.share / low.share)
+    parts = sorted(low.factors.keys() & high.factors.keys())
+    factors = {part: low.factors[part] ** (1 - t) * high.factors[part] ** t for part in parts}
     return Option(
-        name=low.name, share=low.share ** (1 - t) * high.share**t,
-        factors={part: low.factors[part] ** (1 - t) * high.factors[part] ** t for part in sorted(parts)},
+        name=low.name, share=share, factors=factors,
         lost=low.lost + t * (high.lost - low.lost), sd=max(low.sd, high.sd),
     )  # fmt: skip
 
@@ -146,22 +139,13 @@ def united(curves: Sequence[Sequence[Option]]) -> list[Option]:
     """
     least = max(min(option.share for option in curve) for curve in curves)
     shares = sorted({option.share for curve in curves for option in curve if option.share >= least})
-    return [_mean(share, [_at_share(curve, share) for curve in curves]) for share in shares]
-
-
-def _at_share(curve: Sequence[Option], share: float) -> Option:
-    low = max((option for option in curve if option.share <= share), key=lambda option: option.share)
-    high = min((option for option in curve if option.share >= share), key=lambda option: option.share)
-    if low.share == high.share:
-        return low
-    return between(low, high, math.log(share / low.share) / math.log(high.share / low.share))
-
-
-def _mean(share: float, options: Sequence[Option]) -> Option:
-    parts = dict.fromkeys(part for option in options for part in option.factors)
-    own = {part: [option.factors[part] for option in options if part in option.factors] for part in parts}
-    return Option(
-        name=options[0].name, share=share, factors={part: float(np.mean(own[part])) for part in parts},
-        lost=float(np.mean([option.lost for option in options])),
-        sd=math.hypot(*(option.sd for option in options)) / len(options),
-    )  # fmt: skip
+    found = []
+    for options in ([along(curve, share) for curve in curves] for share in shares):
+        parts = dict.fromkeys(part for option in options for part in option.factors)
+        own = {part: [option.factors[part] for option in options if part in option.factors] for part in parts}
+        found.append(Option(
+            name=options[0].name, share=options[0].share, factors={p: float(np.mean(own[p])) for p in parts},
+            lost=float(np.mean([option.lost for option in options])),
+            sd=math.hypot(*(option.sd for option in options)) / len(options),
+        ))  # fmt: skip
+    return found

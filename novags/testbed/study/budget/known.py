@@ -25,10 +25,12 @@ class Known:
     Attributes:
         options: By name, with the preset's own value (share 1) in each.
         source: Where they come from, in a sentence.
+        points: The points of the curves that are defaults, of the methods that are used.
     """
 
     options: dict[str, list[Option]]
     source: str
+    points: tuple[Point, ...] = ()
 
 
 def known(folder: Path | None, methods: Collection[str] = ()) -> Known:
@@ -60,7 +62,8 @@ def known(folder: Path | None, methods: Collection[str] = ()) -> Known:
         where = "that came with novags" if folder is None else f"in {folder}"
         which = f"{' and '.join(others)}, " if len(used) > 1 else ""
         sources.append(f"{where} ({which}measured on {machine}: {work})")
-    return Known(found, " and those ".join(sources))
+    defaults = (point for point in [*own, *rest] if point["default"] and _subject(point) in used)
+    return Known(found, " and those ".join(sources), tuple(defaults))
 
 
 def _measured_here() -> list[Point]:

@@ -30,14 +30,15 @@ def _foretold(state: State) -> str:
     return f"expected to lose {found['lost']:.1f} ± {found['sd']:.1f} dB of aligned PSNR against the preset"
 
 
-def before(preset: Preset, chosen: Preset, state: State) -> list[str]:
-    """The choice, the time it takes, what it loses, and where that is known from."""
+def before(preset: Preset, chosen: Preset, state: State, untried: Sequence[str] = ()) -> list[str]:
+    """The choice, the time it takes, what it loses, and where that is known from; `untried`: methods by the tables."""
+    tables = f", of {' and '.join(untried)} in part from the curves, at that pace" if untried else ""
     return [
         f"budget {state['budget']:g} s: changed against the preset: {changes(preset, chosen)}",
         f"  predicted {state['foretold']['seconds']:.0f} s, of which {state['trial']:.0f} s are spent on the trial; "
         f"the preset takes {state['preset_seconds']:.0f} s here",
         f"  {_foretold(state)}",
-        f"  losses from the curves {state['curves']}; times from the trial on this machine",
+        f"  losses from the curves {state['curves']}; times from the trial on this machine{tables}",
     ]
 
 

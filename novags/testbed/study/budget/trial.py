@@ -1,26 +1,34 @@
 """The experiment on a small scale, with a stopwatch: what each of its parts will take here at the preset's settings.
 
 Pictures have their real size and fits their real number of Gaussians; views, samples and steps are few. What is done
-once per view, sample or step is scaled up; the rest counts as it is.
+once per view, sample or step is scaled up; the rest counts as it is. A trial ends when its time is over: what it did
+not come to takes what the curves' tables have for it, at the pace of what it did.
 """
 
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from novags.methods import METHODS
 from novags.testbed.console.terminal import Console, Update
 from novags.testbed.folders.run import METRICS, RECORD
 from novags.testbed.ledger.contents import read_json
-from novags.testbed.study import place as experiment
 from novags.testbed.study.cells.presets import Preset, adapted
 from sensor_model.files.scratch import scratch
 from simscenes.rigs import TEST_EVERY
 
 VIEWS, STEPS, DENOISER_STEPS, SAMPLES = 4, 60, 10, 6
 WARM = 5  # first steps of a part, in which machine code is loaded
+CAUTION = 1.5  # times what the tables have at this machine's pace, for what was not tried
+# Where nothing is known of this machine, a slow one: times the tables' processor seconds; s for what they do not$
+# have, of each method and of the pictures (libraries, scores). Guesses.
+SLOW, LOADING = 4.0, 15.0
+Run = Callable[[Preset, Path, Console], Any]  # runs an experiment in a folder
+Parts = dict[str, float]  # seconds by part
+Stamps = Mapping[str, Mapping[int, float]]  # when each step of each stage was done
 
 
 class OutOfTime(Exception):
@@ -61,14 +69,16 @@ class Forecast:
         before: Of its parts until the pictures are taken.
         after: Of its parts from there on.
         spent: What the trial took.
+        untried: Methods that it did not come to the end of.
     """
 
-    before: dict[str, float]
-    after: dict[str, float]
+    before: Parts
+    after: Parts
     spent: float
+    untried: tuple[str, ...] = ()
 
     @property
-    def parts(self) -> dict[str, float]:
+    def parts(self) -> Parts:
         """All together."""
         return {part: self.before.get(part, 0.0) + self.after.get(part, 0.0) for part in {**self.before, **self.after}}
 
@@ -82,82 +92,159 @@ def in_small(preset: Preset) -> Preset:
     return adapted(preset, n_views=views, spp=spp, iterations=STEPS, denoiser_steps=DENOISER_STEPS)
 
 
-def forecast(preset: Preset, limit: float) -> Forecast:
+def forecast(preset: Preset, limit: float, run: Run, tables: Sequence[Mapping[str, Any]]) -> Forecast:
     """Try the experiment on a small scale.
 
     Args:
         preset: The experiment.
-        limit: Seconds after which the trial gives up.
+        limit: Seconds after which the trial ends.
+        run: What runs it.
+        tables: Points of the curves of whole reconstructions.
 
     Raises:
-        OutOfTime: If it does.
+        OutOfTime: If it ends before anything is known of this machine's pace.
         ValueError: If the experiment cannot be done.
     """
-    small, start = in_small(preset), time.perf_counter()
+    small, start, watch = in_small(preset), time.perf_counter(), Stopwatch(limit)
     with scratch("budget") as folder:
-        watch = Stopwatch(limit)
-        experiment.run(small, folder / "trial", watch)
+        with suppress(OutOfTime):
+            run(small, folder / "trial", watch)
         spent = time.perf_counter() - start
-        return scaled(preset, small, folder / "trial", watch.stamps, spent)
+        return scaled(preset, small, folder / "trial", watch.stamps, spent, expected(preset, tables))
+
+
+def expected(preset: Preset, tables: Sequence[Mapping[str, Any]]) -> dict[str, Parts]:
+    """Processor seconds of the parts of each method, and of the "render", that the tables have for as much work."""
+    found: dict[str, Parts] = {"render": {}}
+    pixels = preset.render.width * preset.render.height
+    for name in preset.methods:
+        config, paces = preset.reconstruct(name), Parts()
+        own = [point for point in tables if point["knob"].partition(".")[0] == config.variant.method]
+        for point in own or tables:
+            work = point["workload"]
+            try:
+                width, height = map(int, str(work["size"]).split(" x "))
+                growth = (pixels + config.points) / (width * height + work["points"])
+                paces |= {part: growth * s / work[part] for part, s in point["parts"].items() if part in work}
+                if "render" in point["parts"] and preset.folder is None:
+                    light = (preset.render.spp or 1) * preset.render.n_views * pixels
+                    per = point["parts"]["render"] / (work["samples per pixel"] * work["views"] * width * height)
+                    found["render"] = {"render": per * light}
+            except (KeyError, TypeError, ValueError, ZeroDivisionError):
+                continue  # the workload of somebody else's curves
+        counts = _steps(preset, name) if paces else {}
+        usual = paces.get("fit", max(paces.values(), default=0.0))  # of a part that no curve has
+        found[name] = {part: count * paces.get(part, usual) for part, count in counts.items()}
+    return found
+
+
+def together(parts: Mapping[str, Parts]) -> Parts:
+    """The parts of all methods, and the render."""
+    found = Parts()
+    for own in parts.values():
+        _add(found, own, ())
+    return found
+
+
+def at_worst(preset: Preset, tables: Sequence[Mapping[str, Any]]) -> tuple[float, Parts]:
+    """Of a slow machine: seconds until a trial has seen its pace, and those of the experiment's parts."""
+    small, first = expected(in_small(preset), tables), preset.methods[0]
+    seen = sum(small["render"].values()) + sum(small[first].values())
+    whole = {part: SLOW * seconds for part, seconds in together(expected(preset, tables)).items()}
+    return SLOW * seen + 2 * LOADING, {**whole, "fixed": LOADING * (1 + len(preset.methods))}
 
 
 def scaled(
-    preset: Preset, small: Preset, folder: Path, stamps: Mapping[str, Mapping[int, float]], spent: float
-) -> Forecast:
-    """What the small experiment in `folder` says of the large one."""
+    preset: Preset, small: Preset, folder: Path, stamps: Stamps, spent: float, tables: Mapping[str, Parts]
+) -> Forecast:  # fmt: skip
+    """What the small experiment in `folder`, finished or not, says of the large one; `tables`: see `expected`."""
+    if not (folder / "capture" / "capture.json").exists():
+        raise OutOfTime
     ratio = 1.0 if preset.folder is not None else preset.render.n_views / small.render.n_views
-    before, rest = {"fixed": 0.0}, spent
+    before, rest = _pictures(preset, small, folder, ratio)
+    rest, after = spent - rest, {"fixed": 0.0}
+    done = [name for name in preset.methods if (folder / name / METRICS).exists()]
+    whole = {name: of_method(preset, small, name, folder / name, stamps, ratio) for name in done}
+    for name, parts in whole.items():
+        rest -= parts.pop("took")
+        _add(after, parts, _closed(preset, small, name))
+    if untried := tuple(name for name in preset.methods if name not in done):
+        begun = {name: _begun(preset, small, name, stamps) for name in untried}
+        known = [(parts, tables[name]) for name, parts in {**whole, **begun}.items()]
+        pace = _pace(known) or _pace([(before, tables["render"])])
+        if pace is None or not all(tables[name] for name in untried):
+            raise OutOfTime
+        fixed = max((parts["fixed"] for parts in whole.values()), default=rest)
+        for name in untried:
+            guessed = {part: CAUTION * pace * seconds for part, seconds in tables[name].items()}
+            _add(after, {**guessed, **begun[name], "fixed": CAUTION * fixed}, _closed(preset, small, name))
+    after["fixed"] += max(rest, 0.0)  # the report and what lies between the stages
+    return Forecast(before, after, spent, untried)
+
+
+def _add(parts: Parts, more: Mapping[str, float], closed: Collection[str]) -> None:
+    for part, seconds in more.items():
+        name = "fixed" if part in closed else part
+        parts[name] = parts.get(name, 0.0) + seconds
+
+
+def _steps(preset: Preset, name: str) -> Mapping[str, int]:
+    """Steps of each part of a method's training."""
+    config = preset.reconstruct(name)
+    method = METHODS[config.variant.method]
+    return {} if method.parts is None else method.parts(config.config)
+
+
+def _closed(preset: Preset, small: Preset, name: str) -> list[str]:
+    """The parts whose steps the variant decides itself: no option changes them."""
+    few = _steps(small, name)
+    return [part for part, count in _steps(preset, name).items() if few[part] == count]
+
+
+def _pace(known: Sequence[tuple[Parts, Parts]]) -> float | None:
+    """Times what the tables have, the slowest; None if nothing that was tried is in them."""
+    both = [[(parts[part], table[part]) for part in parts if table.get(part)] for parts, table in known]
+    return max((sum(s for s, _ in pairs) / sum(t for _, t in pairs) for pairs in both if pairs), default=None)
+
+
+def _pictures(preset: Preset, small: Preset, folder: Path, ratio: float) -> tuple[Parts, float]:
+    """Seconds by part until the pictures are taken, and what they took on a small scale."""
+    before, took = {"fixed": 0.0}, 0.0
     if preset.folder is None:
-        record = read_json(folder / "set" / "set.json")
-        seconds = record["seconds"]
+        seconds = read_json(folder / "set" / "set.json")["seconds"]
         samples = ratio * (preset.render.spp or 1) / (small.render.spp or 1)
         before["render"] = seconds.get("radiance", 0.0) * samples
         per_view = seconds.get("geometry", 0.0) + seconds.get("write", 0.0)
         before["fixed"] += sum(seconds.values()) - seconds.get("radiance", 0.0) + (ratio - 1) * per_view
-        rest -= sum(seconds.values())
+        took += sum(seconds.values())
     photographed = read_json(folder / "capture" / "capture.json")["stage"]["seconds"]
     before["fixed"] += ratio * photographed
-    rest -= photographed
-    after = {"fixed": 0.0}
-    for name in preset.methods:
-        found = of_method(preset, small, name, folder / name, stamps, ratio)
-        took = found.pop("took")
-        rest -= took
-        for part, value in found.items():
-            after[part] = after.get(part, 0.0) + value
-    after["fixed"] += max(rest, 0.0)  # the report and what lies between the stages
-    return Forecast(before, after, spent)
+    return before, took + photographed
 
 
-def of_method(
-    preset: Preset, small: Preset, name: str, folder: Path, stamps: Mapping[str, Mapping[int, float]], ratio: float
-) -> dict[str, float]:
+def _begun(preset: Preset, small: Preset, name: str, stamps: Stamps) -> Parts:
+    """Seconds of the parts of a method's training that were tried."""
+    steps, many = stamps.get(f"reconstruct {name}", {}), _steps(preset, name)
+    found, begin = Parts(), 0
+    for part, count in _steps(small, name).items():
+        if pace := pace_of(steps, begin, begin + count):
+            found[part] = pace * many[part]
+        begin += count
+    return found
+
+
+def of_method(preset: Preset, small: Preset, name: str, folder: Path, stamps: Stamps, ratio: float) -> Parts:
     """Seconds by part of one method with its score, and `took`: what it took on a small scale."""
     record, metrics = read_json(folder / RECORD), read_json(folder / METRICS)
     spent, scored = float(record["stage"]["seconds"]), float(metrics["stage"]["seconds"])
-    found = {"took": spent + scored, "fixed": 0.0}
-    method = METHODS[preset.reconstruct(name).variant.method]
-    steps = stamps.get(f"reconstruct {name}", {})
-    trained = 0.0
-    if method.parts is not None:
-        few, many = (method.parts(p.reconstruct(name).config) for p in (small, preset))
-        begin = 0
-        for part, count in few.items():
-            pace = pace_of(steps, begin, begin + count)
-            part_seconds = pace * count
-            trained += part_seconds
-            if many[part] == count:  # the variant decides this itself: no option changes it
-                found["fixed"] += part_seconds
-            else:
-                found[part] = found.get(part, 0.0) + pace * many[part]
-            begin += count
+    found, few, many = _begun(preset, small, name, stamps), _steps(small, name), _steps(preset, name)
+    trained = sum(seconds * few[part] / many[part] for part, seconds in found.items())
     views = stamps.get(f"render {name}", {})
     shown = pace_of(views, 0, max(views, default=0)) * max(views, default=0)
-    each = shown + float(record["seconds"].get("enhance", 0.0)) if method.parts is not None else spent
-    found["fixed"] += max(spent - trained, 0.0) + (ratio - 1) * each
+    each = shown + float(record["seconds"].get("enhance", 0.0)) if many else spent
     count = -(-preset.render.n_views // TEST_EVERY) if preset.folder is None else 1
-    found["fixed"] += scored * count
-    return found
+    fixed = max(spent - trained, 0.0) + (ratio - 1) * each + scored * count
+    return {**found, "took": spent + scored, "fixed": fixed}
 
 
 def pace_of(stamps: Mapping[int, float], begin: int, end: int) -> float:

@@ -8,9 +8,19 @@ import pytest
 
 from novags.methods.variant import parse_variant
 from novags.testbed.study.budget.choice import Option
-from novags.testbed.study.budget.known import open_options
-from novags.testbed.study.budget.trial import OutOfTime, Stopwatch, in_small, pace_of, scaled
+from novags.testbed.study.budget.known import SHIPPED, open_options
+from novags.testbed.study.budget.trial import (
+    CAUTION,
+    OutOfTime,
+    Stopwatch,
+    expected,
+    in_small,
+    pace_of,
+    scaled,
+    together,
+)
 from novags.testbed.study.cells.presets import EXPERIMENTS, Preset, adapted
+from novags.testbed.study.curves.curve import read_curves
 from novags.testbed.study.knobs.options import turned, values
 
 METHODS = EXPERIMENTS["demo"].methods[:2]  # with a denoiser, and without
@@ -56,7 +66,8 @@ def test_a_forecast_scales_views_samples_and_steps_and_nothing_else(tmp_path: Pa
         f"render {first}": {k: 0.1 * k for k in range(1, 5)},
         f"render {second}": {k: 0.1 * k for k in range(1, 5)},
     }
-    found = scaled(large, small, tmp_path, stamps, 25.0)
+    tables = expected(large, read_curves(SHIPPED))
+    found = scaled(large, small, tmp_path, stamps, 25.0, tables)
     assert found.before["render"] == pytest.approx(1.5 * 5 * 16)
     assert found.before["fixed"] == pytest.approx(2 + 3 + 0.2 * 5 + 0.3 * 5 + 0.4 * 5)
     assert found.after["denoiser"] == pytest.approx(0.2 * 128)
@@ -68,6 +79,37 @@ def test_a_forecast_scales_views_samples_and_steps_and_nothing_else(tmp_path: Pa
     assert found.after["fixed"] == pytest.approx(first_fixed + second_fixed + rest)
     whole = sum(found.before.values()) + sum(found.after.values())
     assert sum(found.parts.values()) == pytest.approx(whole)
+
+    assert found.untried == ()
+    # A trial that ended in the fit of the second: its denoised one took twice what the tables have
+    slow = {part: found.after[part] if part == "denoiser" else 0.05 * 2400 for part in ("denoiser", "fit")}
+    tables = {"render": {}, first: {part: s / 2 for part, s in slow.items()}, second: {"fit": 30.0}}
+    (tmp_path / second / "metrics.json").unlink()
+    cut = {name: each for name, each in stamps.items() if not name.endswith(second)}
+    guessed = scaled(large, small, tmp_path, cut, 18.0, tables)
+    assert guessed.untried == (second,)
+    assert guessed.after["fit"] == pytest.approx(0.05 * 2400 + CAUTION * 2 * 30.0)
+    assert guessed.after["fixed"] == pytest.approx((1 + CAUTION) * first_fixed + 18.0 - 7.0 - 0.4 - 10.0)
+    begun = {**cut, f"reconstruct {second}": {k: 30 + 0.03 * k for k in range(1, 41)}}
+    assert scaled(large, small, tmp_path, begun, 18.0, tables).after["fit"] == pytest.approx((0.05 + 0.03) * 2400)
+    (tmp_path / "capture" / "capture.json").unlink()
+    with pytest.raises(OutOfTime):
+        scaled(large, small, tmp_path, stamps, 5.0, tables)
+
+
+def test_tables_foretell_methods_by_steps_pixels_and_gaussians() -> None:
+    """By hand: curves of 64 x 64 pixels, 3200 Gaussians and 800 iterations; nobody measured `naive`."""
+    own = adapted(preset(width=128, height=64, points=6400), iterations=400)
+    work = {"size": "64 x 64", "points": 3200, "views": 16, "samples per pixel": 96, "fit": 800, "denoiser": 100}
+    points = [{"knob": "nova.x", "parts": parts, "workload": work} for parts in (
+        {"fit": 8.0}, {"denoiser": 10.0}, {"render": 4.0})]  # fmt: skip
+    found = expected(own, [*points, {"knob": "nova.y", "parts": {"fit": 1.0}, "workload": {"size": "any"}}])
+    first, second = METHODS
+    assert found[first] == pytest.approx({"fit": 2 * 8.0 / 800 * 400, "denoiser": 2 * 10.0 / 100 * 128})
+    assert found[second] == pytest.approx({"fit": 2 * 8.0 / 800 * 400})
+    assert found["render"] == pytest.approx({"render": 4.0 * 2 * 20 / 16})
+    assert expected(own, []) == {"render": {}, first: {}, second: {}}
+    assert together(found)["fit"] == pytest.approx(2 * found[second]["fit"])
 
 
 def test_a_trial_gives_up_at_its_limit() -> None:

@@ -1,6 +1,7 @@
 """The course of an experiment with a budget, with work that costs nothing."""
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,11 +11,12 @@ import pytest
 from novags.methods.variant import Variant
 from novags.testbed.console.terminal import Console
 from novags.testbed.ledger.contents import jsonable
-from novags.testbed.study.budget import conduct
+from novags.testbed.study.budget import said
+from novags.testbed.study.budget import within as module
 from novags.testbed.study.budget.choice import Option
-from novags.testbed.study.budget.conduct import Request
 from novags.testbed.study.budget.known import Known
 from novags.testbed.study.budget.trial import Forecast, OutOfTime
+from novags.testbed.study.budget.within import RESERVE, TRIAL, Request, told, within
 from novags.testbed.study.cells.presets import EXPERIMENTS, Preset, adapted
 
 LOSSES = ((0.25, 2.0, 0.3), (0.5, 0.8, 0.4), (1.0, 0.0, 0.0))
@@ -38,32 +40,41 @@ class Work:
     """A clock, and an experiment that takes as long on it as it is told."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.now, self.slow, self.ran, self.tried = 0.0, 0.0, [], 0
-        self.fit_stops = False
-        monkeypatch.setattr(conduct.time, "perf_counter", lambda: self.now)
-        monkeypatch.setattr(conduct, "forecast", self.forecast)
-        monkeypatch.setattr(conduct, "known", lambda folder, methods: Known(OPTIONS, "made up"))
-        monkeypatch.setattr(conduct.experiment, "photograph", self.photograph)
-        monkeypatch.setattr(conduct.experiment, "run", self.run)
+        self.now, self.slow, self.ran, self.tried = 0.0, 0.0, list[Preset](), 0
+        self.fit_stops, self.trial, self.points = False, 10.0, ()
+        self.guess = 1.0  # times what it really takes, where the trial does not come to its end
+        monkeypatch.setattr(module.time, "perf_counter", lambda: self.now)
+        monkeypatch.setattr(module, "forecast", self.forecast)
+        monkeypatch.setattr(module, "at_worst", lambda *_: (20.0, {"fixed": 60.0, "render": 100.0, "fit": 400.0}))
+        monkeypatch.setattr(module, "known", lambda folder, methods: Known(OPTIONS, "made up", self.points))
 
-    def forecast(self, preset: Preset, limit: float) -> Forecast:
+    def forecast(self, preset: Preset, limit: float, *_: Any) -> Forecast:
         self.tried += 1
-        if limit < 8:
+        self.now += min(limit, self.trial)
+        if limit < 0.3 * self.trial:
             raise OutOfTime
-        self.now += 10
-        return Forecast({"fixed": 5.0, "render": 40.0}, {"fixed": 5.0, "fit": 80.0}, 10.0)
+        untried, times = (("oracle",), self.guess) if limit < self.trial else ((), 1.0)
+        after = {"fixed": 5.0 * times, "fit": 80.0 * times}
+        return Forecast({"fixed": 5.0, "render": 40.0}, after, min(limit, self.trial), untried)
 
-    def photograph(self, preset: Preset, out: Path, console: Console, **_: Any) -> Path:
+    def photograph(self, preset: Preset) -> None:
         self.now += 5 + 40 * preset.render.spp / 100 + self.slow
-        return out
 
-    def run(self, preset: Preset, out: Path, console: Console, **_: Any) -> Path:
+    def run(self, preset: Preset, out: Path) -> None:
         if self.fit_stops:
             raise KeyboardInterrupt
         self.ran.append(preset)
         self.now += 5 + 80 * preset.settings["fit.iterations"] / 1000
         write(out, preset, {name: 20.0 for name in preset.methods})
-        return out / "report.html"
+
+    def do(self, request: Request, out: Path, console: Console) -> dict[str, Any]:
+        """As `novags run` does; what is known of the budget in the end."""
+        with within(request, out, console, lambda *_: None) as budget:
+            if budget.tried is not None:  # what is there already takes no time
+                self.photograph(budget.preset)
+            budget.adjust()
+            self.run(budget.preset, out)
+        return budget.state
 
 
 def write(out: Path, preset: Preset, scores: dict[str, float]) -> None:
@@ -84,7 +95,7 @@ def work(monkeypatch: pytest.MonkeyPatch) -> Work:
 def test_choice_and_loss_are_said_before_the_work_which_keeps_the_budget(work: Work, tmp_path: Path) -> None:
     """130 s of work and a trial of 10 s: of 120 s, 108 are used, so that half the iterations it is."""
     console = Told()
-    conduct.run(Request(PRESET, 120.0), tmp_path / "x", console)
+    work.do(Request(PRESET, 120.0), tmp_path / "x", console)
     (done,) = work.ran
     assert (done.settings["fit.iterations"], done.render.spp) == (500, 100)
     text = "\n".join(console.lines)
@@ -98,39 +109,72 @@ def test_choice_and_loss_are_said_before_the_work_which_keeps_the_budget(work: W
 
 
 def test_a_preset_that_fits_is_left_as_it_is(work: Work, tmp_path: Path) -> None:
-    conduct.run(Request(PRESET, 160.0), tmp_path / "x", Told())
+    work.do(Request(PRESET, 160.0), tmp_path / "x", Told())
     assert work.ran == [PRESET]
 
 
 def test_options_that_the_user_set_stay(work: Work, tmp_path: Path) -> None:
-    conduct.run(Request(PRESET, 125.0, frozenset({"iterations"})), tmp_path / "x", Told())
+    work.do(Request(PRESET, 125.0, frozenset({"iterations"})), tmp_path / "x", Told())
     (done,) = work.ran
     assert (done.settings["fit.iterations"], done.render.spp) == (1000, 25)
 
 
-@pytest.mark.parametrize(
-    ("budget", "message"),
-    [
-        (50.0, "the least that this experiment takes here is about 56 s"),
-        (10.0, "trying the experiment on a small scale alone"),
-    ],
-)
-def test_a_budget_that_is_too_small_is_refused_with_the_least_time(
-    work: Work, tmp_path: Path, budget: float, message: str
-) -> None:
-    with pytest.raises(ValueError, match=message) as error:
-        conduct.run(Request(PRESET, budget), tmp_path / "x", Told())
+def named(error: pytest.ExceptionInfo[ValueError]) -> float:
+    """The budget that a refusal names."""
+    (found,) = re.findall(r" ([\d.]+) s will do", str(error.value))
     assert "\n" not in str(error.value)
+    return float(found)
+
+
+@pytest.mark.parametrize("trial", [1.0, 10.0, 60.0])
+@pytest.mark.parametrize("guess", [1.0, 1.5, 4.0])
+@pytest.mark.parametrize("budget", [0.5, 5.0, 20.0, 35.0])
+def test_a_budget_that_is_too_small_is_refused_in_a_tenth_of_it_with_one_that_then_holds(
+    work: Work, tmp_path: Path, budget: float, guess: float, trial: float
+) -> None:
+    """Whether the trial has come to its end, or to some of the methods, or to nothing at all."""
+    work.guess, work.trial = guess, trial
+    with pytest.raises(ValueError, match="s is too small here") as error:
+        work.do(Request(PRESET, budget), tmp_path / "x", Told())
+    assert work.now <= TRIAL * budget + 1e-9
     assert work.ran == []
     assert not (tmp_path / "x" / "budget.json").exists()
-    if budget == 50.0:  # and the time that was named is enough
-        conduct.run(Request(PRESET, 56.0), tmp_path / "y", Told())
-        assert len(work.ran) == 1
+    work.now, enough = 0.0, named(error)
+    assert enough > budget
+    work.do(Request(PRESET, enough), tmp_path / "y", Told())
+    assert len(work.ran) == 1
+    assert work.now <= enough
+
+
+def test_a_trial_that_does_not_come_to_its_end_is_enough_for_a_choice(work: Work, tmp_path: Path) -> None:
+    work.trial, work.guess, console = 30.0, 1.5, Told()
+    work.do(Request(PRESET, 150.0), tmp_path / "x", console)
+    assert work.now <= 150
+    assert any("of oracle in part from the curves, at that pace" in line for line in console.lines)
+
+
+def test_what_this_machine_is_known_to_be_too_slow_for_is_refused_at_once(
+    work: Work, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where it has made the curves itself: 80 processor seconds of fits are 20 s at least, with a quarter of them."""
+    monkeypatch.setattr(module, "hardware", lambda: {"processor": "abacus", "cores": 2})
+    monkeypatch.setattr(module, "expected", lambda *_: {"naive": {"fit": 80.0}})
+    work.points = ({"hardware": {"processor": "abacus", "cores": 2}},)
+    with pytest.raises(ValueError, match="a budget of 9 s is too small here") as error:
+        work.do(Request(PRESET, 9.0), tmp_path / "x", Told())
+    assert (work.tried, work.now) == (0, 0.0)
+    with pytest.raises(ValueError, match="a budget of 9 s is too small here"):
+        told(Request(PRESET, 9.0), tmp_path / "x", Told())
+    assert named(error) == pytest.approx((60 + 25 + 100) / (1 - RESERVE - TRIAL), rel=0.1)
+    work.points = ({"hardware": {"processor": "quipu", "cores": 2}},)
+    with pytest.raises(ValueError, match="a budget of 9 s is too small here"):
+        work.do(Request(PRESET, 9.0), tmp_path / "x", Told())
+    assert work.tried == 1  # another machine may be faster
 
 
 def test_pictures_that_took_longer_leave_less_for_the_fit(work: Work, tmp_path: Path) -> None:
     work.slow, console = 30.0, Told()
-    conduct.run(Request(PRESET, 120.0), tmp_path / "x", console)
+    work.do(Request(PRESET, 120.0), tmp_path / "x", console)
     (done,) = work.ran
     assert done.settings["fit.iterations"] == 250
     assert work.now < 120
@@ -141,25 +185,26 @@ def test_pictures_that_took_longer_leave_less_for_the_fit(work: Work, tmp_path: 
 
 def test_pictures_that_took_less_leave_more_for_the_fit(work: Work, tmp_path: Path) -> None:
     work.slow = -30.0
-    conduct.run(Request(PRESET, 120.0), tmp_path / "x", Told())
+    work.do(Request(PRESET, 120.0), tmp_path / "x", Told())
     assert work.ran[0].settings["fit.iterations"] == 1000
     assert work.now <= 120
 
 
 def test_an_excess_is_never_silent(work: Work, tmp_path: Path) -> None:
     work.slow, console, request = 70.0, Told(), Request(PRESET, 120.0)
-    conduct.run(request, tmp_path / "x", console)
+    work.do(request, tmp_path / "x", console)
     assert any("it will take about 30 s more than the budget" in line for line in console.lines)
-    lines = conduct.result(request, tmp_path / "x", None)
+    state = json.loads((tmp_path / "x" / "budget.json").read_text())
+    lines = said.after(request.preset, tmp_path / "x", state, None)
     assert lines[0] == "budget 120 s: took 150 s, predicted 150 s: 30 s more than the budget"
 
 
 def test_an_interrupted_experiment_goes_on_with_what_was_chosen(work: Work, tmp_path: Path) -> None:
     work.fit_stops = True
     with pytest.raises(KeyboardInterrupt):
-        conduct.run(Request(PRESET, 120.0), tmp_path / "x", Told())
+        work.do(Request(PRESET, 120.0), tmp_path / "x", Told())
     work.fit_stops, console = False, Told()
-    conduct.run(Request(PRESET, 120.0), tmp_path / "x", console)
+    work.do(Request(PRESET, 120.0), tmp_path / "x", console)
     assert work.tried == 1
     assert work.ran[0].settings["fit.iterations"] == 500
     assert "going on with what was chosen before" in console.lines[0]
@@ -167,32 +212,26 @@ def test_an_interrupted_experiment_goes_on_with_what_was_chosen(work: Work, tmp_
     assert state["seconds"] == 100.0  # of both calls, as if there had been one
 
 
-def test_a_dry_run_tells_the_choice_that_is_gone_on_with(
-    work: Work, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked: list[Preset] = []
-    monkeypatch.setattr(conduct.experiment, "said", lambda preset, *_, **__: asked.append(preset))
-    conduct.run(Request(PRESET, 120.0), tmp_path / "x", Told())
-    before, console = (tmp_path / "x" / "budget.json").read_bytes(), Told()
-    conduct.tell(Request(PRESET, 120.0), tmp_path / "x", console)
-    assert asked == work.ran
-    assert "iterations 1000 -> 500" in console.lines[1]
-    assert "predicted 100 s, of which 10 s are spent on the trial" in console.lines[2]
+def test_a_dry_run_tells_the_choice_that_is_gone_on_with(work: Work, tmp_path: Path) -> None:
+    work.do(Request(PRESET, 120.0), tmp_path / "x", Told())
+    before = (tmp_path / "x" / "budget.json").read_bytes()
+    chosen, lines = told(Request(PRESET, 120.0), tmp_path / "x", Told())
+    assert [chosen] == work.ran
+    assert "iterations 1000 -> 500" in lines[0]
+    assert "predicted 100 s, of which 10 s are spent on the trial" in lines[1]
     assert (work.tried, (tmp_path / "x" / "budget.json").read_bytes()) == (1, before)
 
 
 def test_a_dry_run_says_what_a_trial_would_decide_and_makes_none(work: Work, tmp_path: Path) -> None:
-    console = Told()
-    conduct.tell(Request(PRESET, 120.0, frozenset({"spp"})), tmp_path / "x", console)
-    assert work.tried == 0
+    chosen, lines = told(Request(PRESET, 120.0, frozenset({"spp"})), tmp_path / "x", Told())
+    assert (chosen, work.tried) == (None, 0)
     assert not (tmp_path / "x").exists()
-    text = "\n".join(console.lines)
-    assert "tried on a small scale, for 60 s at most" in text
-    assert "by the curves made up: iterations 1000 -> 250 at the least (dry run" in text
-    assert "budget: to be made in" in text
-    conduct.run(Request(PRESET, 120.0), tmp_path / "x", Told())
+    text = "\n".join(lines)
+    assert "tried on a small scale, for 12 s at most" in text
+    assert "by the curves made up: iterations 1000 -> 250 at the least" in text
+    work.do(Request(PRESET, 120.0), tmp_path / "x", Told())
     with pytest.raises(ValueError, match="holds a finished experiment of another request"):
-        conduct.tell(Request(PRESET, 130.0), tmp_path / "x", console)
+        told(Request(PRESET, 130.0), tmp_path / "x", Told())
 
 
 def test_a_choice_of_another_version_that_this_one_leaves_to_the_variant_is_refused(work: Work, tmp_path: Path) -> None:
@@ -205,25 +244,29 @@ def test_a_choice_of_another_version_that_this_one_leaves_to_the_variant_is_refu
              "preset_seconds": 130.0}  # fmt: skip
     (tmp_path / "x" / "budget.json").write_text(json.dumps(state))
     with pytest.raises(ValueError, match=r"leaves open \(points, .* got iterations, chosen by another .* remove it"):
-        conduct.run(request, tmp_path / "x", Told())
+        work.do(request, tmp_path / "x", Told())
 
 
 def test_a_finished_experiment_of_another_request_is_refused_before_the_trial(work: Work, tmp_path: Path) -> None:
-    conduct.run(Request(PRESET, 120.0), tmp_path / "x", Told())
+    work.do(Request(PRESET, 120.0), tmp_path / "x", Told())
     with pytest.raises(ValueError, match="holds a finished experiment of another request"):
-        conduct.run(Request(PRESET, 130.0), tmp_path / "x", Told())
+        work.do(Request(PRESET, 130.0), tmp_path / "x", Told())
     assert work.tried == 1
 
 
 def test_the_loss_is_measured_against_a_run_of_the_preset_itself(work: Work, tmp_path: Path) -> None:
     request = Request(PRESET, 120.0)
-    conduct.run(request, tmp_path / "x", Told())
-    unknown = "\n".join(conduct.result(request, tmp_path / "x", tmp_path / "whole"))
+    state = work.do(request, tmp_path / "x", Told())
+
+    def told_of(against: Path) -> str:
+        return "\n".join(said.after(request.preset, tmp_path / "x", state, against))
+
+    unknown = told_of(tmp_path / "whole")
     assert "known once the preset itself has been run" in unknown
     write(tmp_path / "whole", adapted(PRESET, electrons=3.0), {name: 99.0 for name in PRESET.methods})
-    assert "\n".join(conduct.result(request, tmp_path / "x", tmp_path / "whole")) == unknown  # that is another one
+    assert told_of(tmp_path / "whole") == unknown  # that is another one
     write(tmp_path / "whole", PRESET, {name: 20.75 for name in PRESET.methods})
-    found = "\n".join(conduct.result(request, tmp_path / "x", tmp_path / "whole"))
+    found = told_of(tmp_path / "whole")
     assert found.count("lost 0.75 dB") == len(PRESET.methods)
     assert "expected to lose 0.8 ± 0.4 dB" in found
 
@@ -244,9 +287,3 @@ def _sfm() -> Any:
     from novags.cameras import parse_cameras
 
     return parse_cameras("sfm")
-
-
-@pytest.mark.parametrize(("budget", "said"), [(1.0, "more than 0.5 s here"), (15.0, "7.5 s here")])
-def test_a_budget_too_small_to_try_in_says_what_it_had(work: Work, tmp_path: Path, budget: float, said: str) -> None:
-    with pytest.raises(ValueError, match=f"a budget of {budget:g} s is too small: .* {said}"):
-        conduct.run(Request(PRESET, budget), tmp_path / "x", Told())
