@@ -169,9 +169,9 @@ def _within(
             under_way.adjust()
             page = place.run(under_way.preset, folder, console, report=write_report, command=command_line(folder),
                              overwrite=overwrite)  # fmt: skip
-    for line in after(preset, folder, under_way.state, whole):
-        say(line)
-    announce(page)
+        for line in after(preset, folder, under_way.state, whole):
+            say(line)
+        announce(page)
 
 
 def _default_name(preset: str, source: str | None, level: str | None, electrons: float | None) -> str:

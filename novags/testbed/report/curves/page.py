@@ -5,10 +5,9 @@ from pathlib import Path
 
 from novags.testbed.report.curves.figure import figure
 from novags.testbed.report.curves.table import heading, tables
-from novags.testbed.study.curves.curve import CURVES, Point, Row, curves, read_curves, write_curves
+from novags.testbed.study.curves.curve import CURVES, Point, Row, curves, write_curves
 from novags.testbed.study.knobs.knob import Subject
 from sensor_model.files.atomic import write_text
-from sensor_model.files.door import read_text
 
 TITLES = {
     "render": "Renderer: error of a view", "sensor": "Sensor model: error of a frame",
@@ -46,8 +45,3 @@ def embedded(page: str, points: list[Point]) -> str:
             own = [point for point in points if point["knob"].startswith(f"{name}.")]
             page = f"{head}{begin}\n\n{heading(own)}\n\n{tables(own)}\n{end}{rest.partition(end)[2]}"
     return page
-
-
-def update(page: Path, folder: Path) -> None:
-    """Bring the tables in a page up to the curves in a folder."""
-    write_text(page, embedded(read_text(page), read_curves(folder)))

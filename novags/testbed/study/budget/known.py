@@ -4,6 +4,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from shlex import quote
+from typing import Any
 
 from novags.testbed.console.provenance import hardware
 from novags.testbed.ledger.contents import jsonable
@@ -43,34 +44,47 @@ def known(folder: Path | None, methods: Collection[str] = ()) -> Known:
     Raises:
         ValueError: If the folder that is named holds no curves of options.
     """
-    own = [] if folder is not None else _measured_here()
-    points = [*own, *read_curves(SHIPPED if folder is None else folder)]
-    used = _used(points, methods)
-    here = [name for name in used if name in _subjects(own)]
-    rest = [point for point in points[len(own) :] if _subject(point) not in here]
-    with reading(SHIPPED if folder is None else folder, "measure it again with novags pareto METHOD"):
-        found = options_of([point for point in [*own, *rest] if _subject(point) in used], methods)
+    place = SHIPPED if folder is None else folder
+    here = _by_subject(_measured_here()) if folder is None else {}
+    curves = {**_by_subject(read_curves(place)), **here}
+    used = _used({**here, **curves}, methods)
+    points = [point for name in used for point in curves[name]]
+    with reading(place, "measure it again with novags pareto METHOD"):
+        found = options_of(points, methods)
     if not found:
         raise ValueError(
             f"{folder} holds no curves of whole reconstructions: novags pareto METHOD --out {quote(str(folder))} "
             "measures them"
         )
-    sources = [f"measured earlier on this machine ({USUAL})"] if here else []
+    sources = [f"measured earlier on this machine ({USUAL})"] if here.keys() & used else []
     if others := [name for name in used if name not in here]:
-        first = next(point for point in _points_of_options(rest) if _subject(point) in others)
+        first = next(point for point in curves[others[0]] if point["option"] is not None)
         work, machine = spelled(first["workload"]), first["hardware"].get("processor")
         where = "that came with novags" if folder is None else f"in {folder}"
         which = f"{' and '.join(others)}, " if len(used) > 1 else ""
         sources.append(f"{where} ({which}measured on {machine}: {work})")
-    defaults = (point for point in [*own, *rest] if point["default"] and _subject(point) in used)
-    return Known(found, " and those ".join(sources), tuple(defaults))
+    return Known(found, " and those ".join(sources), tuple(point for point in points if point["default"]))
 
 
 def _measured_here() -> list[Point]:
-    if not (USUAL / CURVES).exists():
-        return []
     here = jsonable(hardware())
-    return [point for point in _points_of_options(read_curves(USUAL)) if point["hardware"] == here]
+    there = read_curves(USUAL) if (USUAL / CURVES).exists() else []
+    return [point for point in there if point["hardware"] == here]
+
+
+def _by_subject(points: Sequence[Point]) -> dict[str, list[Point]]:
+    """The curves of each subject that has some of options, in their order."""
+    names = dict.fromkeys(subject(point) for point in points if point["option"] is not None)
+    return {name: [point for point in points if subject(point) == name] for name in names}
+
+
+def _used(curves: Collection[str], methods: Collection[str]) -> list[str]:
+    return [name for name in curves if name in methods] or list(curves)[:1]
+
+
+def subject(point: Mapping[str, Any]) -> str:
+    """What a point is of."""
+    return str(point["knob"]).partition(".")[0]
 
 
 def options_of(points: Sequence[Point], methods: Collection[str] = ()) -> dict[str, list[Option]]:
@@ -83,56 +97,31 @@ def options_of(points: Sequence[Point], methods: Collection[str] = ()) -> dict[s
         methods: Whose curves are wanted; together where there are several (`united`). Of none of these, or of no name:
             the first method that the curves are of.
     """
-    used = _used(points, methods)
-    found = [_options_of([point for point in points if _subject(point) == name]) for name in used]
-    names = dict.fromkeys(option for curves in found for option in curves)
-    return {name: refined(united([curves[name] for curves in found if name in curves])) for name in names}
+    curves = _by_subject(points)
+    found = [_options_of(curves[name]) for name in _used(curves, methods)]
+    names = dict.fromkeys(option for own in found for option in own)
+    return {name: refined(united([own[name] for own in found if name in own])) for name in names}
 
 
 def _options_of(points: Sequence[Point]) -> dict[str, list[Option]]:
     found: dict[str, list[Option]] = {}
-    for point in _points_of_options(points):
-        default = next((p for p in points if p["knob"] == point["knob"] and p["default"]), None)
-        _check(point)
-        if default is None or point["setting"] > default["setting"] or point["db_lost"] is None:
+    defaults = {point["knob"]: point for point in points if point["default"]}
+    for point in points:
+        if point["option"] is None:
             continue
-        factors = {
-            part: point["parts"].get(part, seconds) / seconds
-            for part, seconds in default["parts"].items()
-            if seconds > 0
-        }
-        option = Option(
-            name=point["option"], share=point["setting"] / default["setting"], factors=factors,
+        setting, parts, default = point["setting"], point["parts"], defaults.get(point["knob"])
+        # what has no logarithm: a setting of nothing, a part that takes less than no time
+        if not isinstance(setting, int | float) or not setting > 0 or min(parts.values(), default=0) < 0:
+            raise ValueError(f"the settings of {point['knob']} must be numbers > 0 and the seconds of its parts >= 0, "
+                             f"got {brief(setting, 60)} and {brief(parts, 100)}")  # fmt: skip
+        if default is None or setting > default["setting"] or point["db_lost"] is None:
+            continue
+        factors = {part: parts.get(part, s) / s for part, s in default["parts"].items() if s > 0}
+        found.setdefault(point["option"], []).append(Option(
+            name=point["option"], share=setting / default["setting"], factors=factors,
             lost=max(0.0, point["db_lost"]), sd=point["db_lost_sd"] or 0.0,
-        )  # fmt: skip
-        found.setdefault(option.name, []).append(option)
+        ))  # fmt: skip
     return found
-
-
-def _subject(point: Point) -> str:
-    name: str = point["knob"].partition(".")[0]
-    return name
-
-
-def _subjects(points: Sequence[Point]) -> list[str]:
-    return list(dict.fromkeys(_subject(point) for point in _points_of_options(points)))
-
-
-def _used(points: Sequence[Point], methods: Collection[str]) -> list[str]:
-    subjects = _subjects(points)
-    return [name for name in subjects if name in methods] or subjects[:1]
-
-
-def _check(point: Point) -> None:
-    """Refuse what has no logarithm: a setting of nothing, a part that takes less than no time."""
-    setting, parts = point["setting"], point["parts"]
-    if not isinstance(setting, int | float) or not setting > 0 or min(parts.values(), default=0) < 0:
-        raise ValueError(f"the settings of {point['knob']} must be numbers > 0 and the seconds of its parts >= 0, got "
-                         f"{brief(setting, 60)} and {brief(parts, 100)}")  # fmt: skip
-
-
-def _points_of_options(points: Sequence[Point]) -> list[Point]:
-    return [point for point in points if point["option"] is not None]
 
 
 def open_options(

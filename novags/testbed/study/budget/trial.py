@@ -16,6 +16,7 @@ from novags.methods import METHODS
 from novags.testbed.console.terminal import Console, Update
 from novags.testbed.folders.run import METRICS, RECORD
 from novags.testbed.ledger.contents import read_json
+from novags.testbed.study.budget.known import subject
 from novags.testbed.study.cells.presets import Preset, adapted
 from sensor_model.files.scratch import scratch
 from simscenes.rigs import TEST_EVERY
@@ -119,7 +120,7 @@ def expected(preset: Preset, tables: Sequence[Mapping[str, Any]]) -> dict[str, P
     pixels = preset.render.width * preset.render.height
     for name in preset.methods:
         config, paces = preset.reconstruct(name), Parts()
-        own = [point for point in tables if point["knob"].partition(".")[0] == config.variant.method]
+        own = [point for point in tables if subject(point) == config.variant.method]
         for point in own or tables:
             work = point["workload"]
             try:
@@ -146,12 +147,19 @@ def together(parts: Mapping[str, Parts]) -> Parts:
     return found
 
 
-def at_worst(preset: Preset, tables: Sequence[Mapping[str, Any]]) -> tuple[float, Parts]:
-    """Of a slow machine: seconds until a trial has seen its pace, and those of the experiment's parts."""
+def at_worst(preset: Preset, tables: Sequence[Mapping[str, Any]], share: float = 1.0) -> tuple[float, Parts]:
+    """Of a slow machine: seconds until a trial has seen its pace, and those of the experiment's parts.
+
+    Args:
+        preset: The experiment.
+        tables: Points of the curves of whole reconstructions.
+        share: Of a core, that is left for it: others work there too.
+    """
+    slow, loading = SLOW / share, LOADING / share
     small, first = expected(in_small(preset), tables), preset.methods[0]
     seen = sum(small["render"].values()) + sum(small[first].values())
-    whole = {part: SLOW * seconds for part, seconds in together(expected(preset, tables)).items()}
-    return SLOW * seen + 2 * LOADING, {**whole, "fixed": LOADING * (1 + len(preset.methods))}
+    whole = {part: slow * seconds for part, seconds in together(expected(preset, tables)).items()}
+    return slow * seen + 2 * loading, {**whole, "fixed": loading * (1 + len(preset.methods))}
 
 
 def scaled(
@@ -172,7 +180,7 @@ def scaled(
         begun = {name: _begun(preset, small, name, stamps) for name in untried}
         known = [(parts, tables[name]) for name, parts in {**whole, **begun}.items()]
         pace = _pace(known) or _pace([(before, tables["render"])])
-        if pace is None or not all(tables[name] for name in untried):
+        if pace is None or any(_steps(preset, name) and not tables[name] for name in untried):
             raise OutOfTime
         fixed = max((parts["fixed"] for parts in whole.values()), default=rest)
         for name in untried:

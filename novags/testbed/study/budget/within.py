@@ -114,10 +114,12 @@ class Budget:
         options = open_options(preset, facts.options, self.request.decided)
         _refuse_hopeless(self.request, facts, options)
         self.console.note(f"budget {budget:g} s: trying the experiment on a small scale to see this machine's pace")
+        begun, worked = self.spent, time.process_time()
         try:
             tried = forecast(preset, TRIAL * budget, run, facts.points)
         except OutOfTime:
-            to_a_pace, parts = at_worst(preset, facts.points)
+            share = min(1.0, (time.process_time() - worked) / max(self.spent - begun, 1e-9))
+            to_a_pace, parts = at_worst(preset, facts.points, max(share, 0.01))
             needed = max(2 * self.spent, to_a_pace) / TRIAL
             raise _too_small(budget, max(needed, _enough(fastest(parts, options).seconds, 0.0, TRIAL))) from None
         spent = self.spent
