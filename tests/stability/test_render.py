@@ -63,7 +63,7 @@ def _relative(found: NDArray, wanted: Any) -> float:
 @PART.case("a million samples in a pixel", bound=4 * EPS, unit="relative", backends=("llvm_ad_rgb",), slow=True)
 def _(setting: Setting) -> float:
     def scene(mi: Any) -> dict[str, Any]:
-        far = {"type": "sphere", "center": [0, 0, -1e3], "radius": 1.0}
+        far = {"type": "sphere", "center": [0, 0, -1e3], "radius": 100.0}  # out of view; a small one would be refused
         return {"sky": {"type": "constant", "radiance": grey(1 / 3)}, "far": far}
 
     return _relative(rendered(scene, camera((0, 0, 0), (0, 1, 0)), setting, spp=10**6).mean, 1 / 3)
