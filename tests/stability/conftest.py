@@ -59,23 +59,25 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, exitstatu
     if exitstatus:
         terminalreporter.write_line(f"{page} stays as it is: its numbers are those of a run that passes")
         return
-    passed = sorted(terminalreporter.stats["passed"], key=lambda report: report.nodeid.partition("::")[0])
+    passed = terminalreporter.stats["passed"]
     rows = [value for report in passed for name, value in report.user_properties if name == "hard case"]
-    head, heading, _ = page.read_text(encoding="utf-8").partition("## Measured\n")
-    page.write_text(f"{head}{heading}{tables(rows)}", encoding="utf-8")
-    terminalreporter.write_line(f"{page}: the errors of {len({(row[0], row[1]) for row in rows})} hard cases")
+    head, heading, old = page.read_text(encoding="utf-8").partition("## Measured\n")
+    known = {text.partition("\n")[0]: text for text in old.split("\n### ")[1:]}
+    sections = known | tables(rows)  # parts that were not run keep their table
+    page.write_text(head + heading + "".join(f"\n### {text}" for text in sections.values()), encoding="utf-8")
 
 
-def tables(rows: Iterable[tuple[str, str, float, str, str, float]]) -> str:
-    """A Markdown table a part; a row a case with the worst error of all its settings."""
+def tables(rows: Iterable[tuple[str, str, float, str, str, float]]) -> dict[str, str]:
+    """The section of each part, Markdown: a row a case with the worst error of all its settings."""
     parts: dict[str, dict[tuple[str, float, str], list[tuple[str, float]]]] = {}
     for part, name, bound, unit, backend, found in rows:
         parts.setdefault(part, {}).setdefault((name, bound, unit), []).append((backend, found))
-    text = ""
+    sections = {}
     for part, cases in parts.items():
-        text += f"\n### {part}\n\n| case | worst error | bound | | computed by |\n|---|---|---|---|---|\n"
+        text = f"{part}\n\n| case | worst error | bound | | computed by |\n|---|---|---|---|---|\n"
         for (name, bound, unit), errors in cases.items():
             worst = max(found for _, found in errors)
             backends = ", ".join(dict.fromkeys(backend for backend, _ in errors))
             text += f"| {name} | {worst:.2g} | {bound:.2g} | {unit} | {backends} |\n"
-    return text
+        sections[part] = text
+    return sections

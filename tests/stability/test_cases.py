@@ -1,11 +1,16 @@
 """Claims about the hard cases as such: what fails, what is refused, and what their page shows."""
 
+import importlib
 import math
+import re
+from pathlib import Path
 
 import pytest
 
-from tests.stability.case import available, refusal, worse
+from tests.stability.case import Case, available, refusal, worse
 
+HERE = Path(__file__).resolve().parent
+PAGE = HERE.parents[1] / "docs" / "stability.md"
 FILE = """
 from tests.stability.case import Part
 
@@ -27,7 +32,7 @@ def run(pytester: pytest.Pytester, errors: str) -> tuple[dict[str, int], str]:
     pytester.makeconftest("from tests.stability.conftest import *")
     pytester.makepyfile(FILE.format(errors=errors))
     page = pytester.path / "page.md"
-    page.write_text("# Page\n\n## Measured\n\nold\n")
+    page.write_text("# Page\n\n## Measured\n\n### made_up\n\nold\n\n### another\n\nold\n")
     done = pytester.runpytest_inprocess("--hard-cases", page, "-p", "no:cacheprovider")
     return done.parseoutcomes(), page.read_text()
 
@@ -38,14 +43,32 @@ def test_an_error_that_is_no_number_or_too_large_fails_and_leaves_the_page(
 ) -> None:
     outcome, page = run(pytester, f"[1e-4, {error}]")
     assert (outcome["passed"], outcome["failed"]) == (1, 1)
-    assert page.endswith("old\n")
+    assert page.count("old\n") == 2
 
 
 def test_an_error_at_the_bound_holds_and_the_page_shows_the_worst_setting(pytester: pytest.Pytester) -> None:
     outcome, page = run(pytester, "[1e-4, 1e-3]")
     assert outcome["passed"] == 2
-    assert page.startswith("# Page\n\n## Measured\n\n### made_up\n\n")
-    assert page.splitlines()[-1] == "| a case | 0.001 | 0.001 | relative | torch |"
+    assert page.startswith("# Page\n\n## Measured\n\n### made_up\n\n| case |")
+    assert page.endswith("|\n| a case | 0.001 | 0.001 | relative | torch |\n\n### another\n\nold\n")
+
+
+def cases() -> dict[str, list[Case]]:
+    """The cases of every file here, by part."""
+    names = [".".join(path.relative_to(HERE.parents[1]).with_suffix("").parts) for path in HERE.rglob("test_*.py")]
+    parts = [module.PART for module in map(importlib.import_module, sorted(names)) if hasattr(module, "PART")]
+    return {part.name: part.cases for part in parts}
+
+
+def test_the_page_has_every_case_with_its_bound() -> None:
+    """`python scripts/make_docs.py docs/stability.md` makes it anew."""
+    found = {}
+    for section in PAGE.read_text(encoding="utf-8").split("### ")[1:]:
+        rows = re.findall(r"^\| (.*) \| \S+ \| (\S+) \| (.*) \| .* \|$", section, re.M)
+        found[section.partition("\n")[0]] = rows
+    assert found == {
+        part: [(case.name, f"{case.bound:.2g}", case.unit) for case in cases] for part, cases in cases().items()
+    }
 
 
 def fail(error: Exception) -> None:
