@@ -14,8 +14,8 @@ from typing import Any
 
 import pytest
 
+from novags.testbed.console import cores, groups
 from novags.testbed.console.provenance import hardware
-from novags.testbed.console.terminal import cores, groups
 from novags.testbed.study import conduct
 from novags.testbed.study.engines import choice, local, processes, queue
 from sensor_model.files.atomic import atomic

@@ -17,7 +17,8 @@ from novags.methods.nova.config import NovaConfig
 from novags.methods.variant import parse_variant
 from novags.settings import flattened
 from novags.splats import FitConfig
-from novags.testbed.console.terminal import Console, losses_text, provenance
+from novags.testbed.console import provenance
+from novags.testbed.console.terminal import Console, losses_text
 from novags.testbed.stages.configs.capturing import CaptureConfig
 from novags.testbed.stages.configs.rendering import RenderConfig
 from novags.testbed.study.cells.presets import EXPERIMENTS, Preset, adapted
