@@ -9,8 +9,9 @@ from novags.cameras import SOURCES
 from novags.commands.answers.catalogue import LISTS, first_sentence, listing
 from novags.commands.answers.topics import page, topics
 from novags.methods import METHODS, VARIANTS
+from novags.testbed.console import devices
 from novags.testbed.console.devices import chosen_device
-from novags.testbed.console.terminal import Console, devices
+from novags.testbed.console.terminal import Console
 from novags.testbed.study.cells.levels import LEVELS
 from novags.testbed.study.cells.presets import EXPERIMENTS
 from sensor_model import PRESETS as SENSORS

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from novags.testbed.console import groups
 from novags.testbed.console.cores import cores_here
 from novags.testbed.console.memory import available_bytes
-from novags.testbed.console.terminal import groups
 
 MB = 1 << 20
 V1 = "9:name=systemd:/\n4:memory:/slurm/job_7\n2:cpu,cpuacct:/slurm/job_7\n0::/\n"

@@ -8,7 +8,7 @@ from novags.methods import METHODS
 from novags.methods.denoised.config import DenoisedConfig
 from novags.methods.nova.config import NovaConfig
 from novags.methods.nova_plus.config import NovaPlusConfig
-from novags.testbed.console.terminal import terminal as console
+from novags.testbed.console import terminal as console
 from novags.testbed.console.time_left import TimeLeft
 
 PARTS = {"denoiser": 100, "fit": 400}

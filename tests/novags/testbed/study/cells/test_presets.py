@@ -103,7 +103,7 @@ def test_a_render_and_its_record_take_no_torch(tmp_path: Path) -> None:
     """Torch takes seconds to load; a machine without the driver of a GPU has none."""
     code = (
         "import sys\n"
-        "from novags.testbed.console.terminal import provenance\n"
+        "from novags.testbed.console import provenance\n"
         f"provenance.DRIVERS = ({str(tmp_path / 'no driver')!r},)\n"
         "from pathlib import Path\n"
         "from novags.testbed import stages\n"
