@@ -13,6 +13,7 @@ from novags.settings import flattened
 from novags.testbed.console.devices import chosen_device
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders.set import for_photographs, open_source
+from novags.testbed.ledger.code import code_of
 from novags.testbed.ledger.contents import digest, folder_digest
 from novags.testbed.ledger.store import key_of, named
 from novags.testbed.stages.configs.capturing import CaptureConfig
@@ -31,6 +32,7 @@ from novags.testbed.study.knobs.measurement import Measurement
 from sensor_model.files.dng import SMALLEST
 from sensor_model.files.door import resolved
 from sensor_model.files.reading import brief
+from simscenes.sets.writers.layouts import EXPORTS
 
 
 @dataclass(frozen=True)
@@ -282,4 +284,7 @@ class Planner:
 
 def _layouts(config: RenderConfig | CaptureConfig) -> dict[str, Any]:
     """Further layouts change no picture, but an entry that was made without them lacks what is asked for."""
-    return {"export": sorted(set(config.export))} if config.export else {}
+    if not config.export:
+        return {}
+    written = code_of(*(EXPORTS.module_of(name) for name in config.export))
+    return {"export": sorted(set(config.export)), "layouts": written.key}

@@ -15,7 +15,6 @@ from sensor_model.isp import DEMOSAIC, Demosaic
 from sensor_model.params import Exposure, Sensor
 from sensor_model.planner import Limits
 from sensor_model.presets import PRESETS
-from simscenes.sets.writers.layouts import EXPORTS
 
 FULL_SIZE = tuple(name for name in DEMOSAIC if name != "half")  # pictures must be as large as their cameras say
 
@@ -75,7 +74,7 @@ class CaptureConfig:
     @property
     def code(self) -> Code:
         """What takes it."""
-        return code_of("novags.testbed.stages.capturing", *map(EXPORTS.module_of, self.export))
+        return code_of("novags.testbed.stages.capturing")
 
     @property
     def noise_seed(self) -> int:

@@ -13,7 +13,6 @@ from simscenes.backend import BACKENDS, COLORS
 from simscenes.loading.reference import SceneRef
 from simscenes.optics import Optics
 from simscenes.scenes import SCENES, split_name
-from simscenes.sets.writers.layouts import EXPORTS
 from simscenes.transport.plan import EFFECTS
 
 VARIANTS = ("auto", *BACKENDS, *(f"{backend}_{color}" for backend in BACKENDS for color in COLORS))
@@ -87,7 +86,7 @@ class RenderConfig:
     def code(self) -> Code:
         """What renders it."""
         scene = SCENES.module_of(split_name(self.scene)[0]) if self.source.in_catalogue else None
-        return code_of("novags.testbed.stages.rendering", scene, *map(EXPORTS.module_of, self.export))
+        return code_of("novags.testbed.stages.rendering", scene)
 
     @property
     def source(self) -> SceneRef:

@@ -35,11 +35,12 @@ from novags.testbed.stages.configs.importing import ImportConfig
 from novags.testbed.stages.configs.reconstructing import ReconstructConfig
 from novags.testbed.stages.configs.rendering import RenderConfig
 from simscenes.scenes import SCENES
+from simscenes.sets.writers.layouts import EXPORTS
 
 keys = {f"scene {name}": RenderConfig(scene=name).code.key for name in SCENES}
 keys |= {name: ReconstructConfig(variant=chosen(name)).code.key for name in (*METHODS, *VARIANTS)}
 keys |= {"capture": CaptureConfig().code.key, "score": code_of("novags.testbed.stages.scores.scoring").key}
-keys["capture with layouts"] = CaptureConfig(export=("llff",)).code.key
+keys["layout"] = code_of(EXPORTS.module_of("llff")).key
 keys["import"] = ImportConfig().code.key
 keys["capture of photographs"] = CaptureConfig().code.along_with(for_photographs()).key
 assert not {"torch", "numba", "mitsuba", "pycolmap"} & sys.modules.keys()
@@ -139,8 +140,8 @@ def test_a_function_that_a_result_does_not_reach_makes_nothing_again(edit: Edit)
     assert edit("novags/splats/files/ply.py", "def read_ply(", "def read_ply(unused=0, *, ") == set()
 
 
-def test_a_further_layout_counts_where_it_is_written(edit: Edit) -> None:
-    assert edit("simscenes/sets/writers/export.py", "CENTRED = 0.01", "CENTRED = 0.02") == {"capture with layouts"}
+def test_a_further_layout_makes_neither_set_nor_capture_again(edit: Edit) -> None:
+    assert edit("simscenes/sets/writers/export.py", "CENTRED = 0.01", "CENTRED = 0.02") == {"layout"}
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,7 @@ from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import open_capture
 from novags.testbed.folders.references import references
 from novags.testbed.folders.run import open_run
+from novags.testbed.report.page import write_report
 from novags.testbed.stages.configs.capturing import CaptureConfig
 from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
 from novags.testbed.study.place import run
@@ -126,7 +127,7 @@ def experiment(mosaics: Path) -> Path:
         EXPERIMENTS["demo"], scene=str(mosaics / "set"), sensor=str(mosaics / "bayer.toml"), electrons=ELECTRONS,
         points=100, iterations=2, methods=("naive", "oracle", "oracle-demosaiced"),
     )  # fmt: skip
-    run(preset, mosaics / "experiment", QUIET)
+    run(preset, mosaics / "experiment", QUIET, report=write_report)
     return mosaics / "experiment"
 
 
