@@ -120,7 +120,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[str, ...], set[
 def test_everything_that_runs_counts(runs: dict[tuple[str, ...], set[CodeType]]) -> None:
     assert len(runs) == 2 + len(METHODS) + 1 + 4  # the set, the capture, each method, the scores; of photographs 4 more
     missed = set[str]()
-    layouts = set(map(EXPORTS.module_of, EXPORTS))  # a stage asks them for refusals alone; each command writes them anew
+    layouts = set(map(EXPORTS.module_of, EXPORTS))  # a stage asks them only to refuse; each command writes them anew
     for roots, called in runs.items():
         counted = reached(roots)
         ours = {found for code in called if (found := defined_in(code))
