@@ -49,13 +49,12 @@ def score(
         raise ValueError(f"--out {out} belongs to --renders: scores of runs go into their folders")
     if reference is not None:
         raise ValueError(f"--reference {reference} belongs to --renders: runs are scored against all that there are")
-    from novags.testbed.folders.experiment import experiments_in
     from novags.testbed.report.place import places_in
-    from novags.testbed.study.place import score_all
+    from novags.testbed.study.place import score_all, together
 
-    for folder in [part for given in runs for part in experiments_in(given)]:
+    for folder, mine in together(runs).items():
         with writing(folder, wait, make=False, dry_run=dry_run) as console:
-            score_all(folder, console)
+            score_all(folder, mine, console)
     if dry_run:
         return
     places = places_in(runs, shared.console())

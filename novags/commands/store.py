@@ -64,9 +64,9 @@ def _prune(dead: "list[Entry]", count: int, dry_run: bool) -> None:
 
 def _ends(place: Path, folder: Path) -> set[str]:
     """The ends of the names of the entries that a study refers to."""
+    from novags.testbed.folders.runs import STUDY
     from novags.testbed.ledger.contents import read_json
     from novags.testbed.ledger.pruning import KEY
-    from novags.testbed.study.conduct import STUDY
     from novags.testbed.study.curves.measuring import read_any
     from novags.testbed.study.plan import plan_of
     from novags.testbed.study.session import SHAPE

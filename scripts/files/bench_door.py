@@ -34,13 +34,13 @@ OPEN = """
 import resource, sys
 from pathlib import Path
 from novags.testbed.console.terminal import Console
-from novags.testbed.folders.experiment import gather
+from novags.testbed.folders.runs import runs_in
 quiet = Console(quiet=True)
 def used():
     spent = resource.getrusage(resource.RUSAGE_SELF)
     return spent.ru_utime + spent.ru_stime
 start = used()
-for run in gather([Path("runs")]).values():
+for run in runs_in([Path("runs")]).values():
     run.inputs(quiet), run.scores(), run.events()
 print(used() - start)
 """

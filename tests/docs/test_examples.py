@@ -12,7 +12,7 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))  # where pytest is started by itself and not as a module
 
 from novags.testbed.console.terminal import Console  # noqa: E402
-from novags.testbed.folders.experiment import gather  # noqa: E402
+from novags.testbed.folders.runs import runs_in  # noqa: E402
 from sensor_model import read_sensor, srgb_to_linear  # noqa: E402
 from simscenes.sets.pictures.exr import write_exr  # noqa: E402
 from tests.fuzz.readers.records import make_run  # noqa: E402
@@ -54,7 +54,7 @@ def test_the_camera_of_the_page_is_one(tmp_path: Path) -> None:
 
 def ends_in_the_light_of_the_scene(folder: Path) -> None:
     """Make a run one that renders the truth in linear light, as dark as the capture: `lit` is 20 times as bright."""
-    (run,) = gather([folder]).values()
+    (run,) = runs_in([folder]).values()
     capture, lit = run.inputs(Console(quiet=True))
     for i, name in enumerate(capture.names):
         light = (srgb_to_linear(lit.lit(i)) / 20).astype(np.float32)

@@ -1,6 +1,5 @@
 """The whole line at a tiny size: what the folders hold, what is not done twice, what an interruption costs."""
 
-import json
 import os
 import re
 import shutil
@@ -11,6 +10,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from html import unescape
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,11 +19,12 @@ from novags.splats import read_ply
 from novags.testbed import stages
 from novags.testbed.console.terminal import Console, Update
 from novags.testbed.folders.capture import open_capture
+from novags.testbed.folders.runs import runs_in
 from novags.testbed.ledger.contents import read_json
 from novags.testbed.report.page import write_report
 from novags.testbed.stages.configs.reconstructing import ReconstructConfig
 from novags.testbed.study.cells.presets import Preset, adapted
-from novags.testbed.study.place import run, score_all
+from novags.testbed.study.place import run, score_all, together
 from novags.testing import DarkCapture, assert_noise, assert_scores
 from simscenes import load_set, read_exr
 
@@ -118,16 +119,20 @@ def test_noise_in_the_capture_has_the_variance_the_truth_states(experiment: Path
 def test_renders_of_a_run_score_from_their_folder_as_the_run_does(experiment: Path, quiet: Console) -> None:
     capture = open_capture(experiment / "capture")
     known = DarkCapture.of(capture, capture.source(quiet)).test
-    of_run = read_json(experiment / "metrics.json")["methods"]["oracle"]["mean"]["lit"]["psnr"]
+    of_run = scores_of(experiment)["oracle"]["mean"]["lit"]["psnr"]
     found = assert_scores(known, experiment / "oracle" / "renders", psnr=of_run - 0.1)["psnr"]
     assert found == pytest.approx(of_run, abs=0.1)  # the run keeps floats beside its 8-bit pictures
 
 
+def scores_of(experiment: Path) -> dict[str, Any]:
+    """The scores of each run of an experiment, by its name."""
+    return {name: run.scores() for name, run in runs_in([experiment]).items()}
+
+
 def test_metrics_have_the_documented_shape(experiment: Path, tiny: Preset) -> None:
-    metrics = json.loads((experiment / "metrics.json").read_text())
-    assert metrics.keys() == {"methods", "recovered", "recovered_lit", "unavailable"}
-    assert tuple(metrics["methods"]) == tiny.methods
-    for method in metrics["methods"].values():
+    assert read_json(experiment / "naive" / "metrics.json").keys() == {"methods", "unavailable", "stage"}
+    assert tuple(scores_of(experiment)) == tiny.methods
+    for method in scores_of(experiment).values():
         assert {"mean", "views", "seconds", "peak_bytes"} <= method.keys()
         assert method["views"].keys() == {"0000", "0008"}
         for scores in (method["mean"], *method["views"].values()):
@@ -135,12 +140,14 @@ def test_metrics_have_the_documented_shape(experiment: Path, tiny: Preset) -> No
             assert scores["enhanced"].keys() == scores["lit"].keys() == SCORES
         assert {"render", "capture", "reconstruct"} <= method["seconds"].keys()
         assert method["peak_bytes"] > 0
-    assert metrics["recovered"].keys() <= {"nova-fast"}
-    assert ("recovered" in metrics["unavailable"]) != bool(metrics["recovered"])
+    rows = {row["method"]: row for row in read_json(experiment / "results.json")["rows"]}
+    assert {name for name, row in rows.items() if "recovered" in row} <= {"nova-fast"}
+    for name, method in scores_of(experiment).items():
+        assert rows[name]["lit.psnr"] == method["mean"]["lit"]["psnr"]
 
 
 def test_only_the_oracle_was_shown_the_noise_free_exposures(experiment: Path) -> None:
-    methods = read_json(experiment / "metrics.json")["methods"]
+    methods = scores_of(experiment)
     training = {name: method["training_2d"]["enhanced"]["psnr"] for name, method in methods.items()}
     assert training["oracle"] > 55  # what is left is rounding to 8 bits
     assert training["naive"] == training["nova-fast"] < 35
@@ -192,7 +199,7 @@ def test_a_second_run_does_nothing_but_the_report(experiment: Path, tiny: Preset
     before = modified(experiment)
     run(tiny, experiment, quiet, report=write_report, command="novags run")
     changed = {name for name, when in modified(experiment).items() if before.get(name) != when}
-    assert changed == {"experiment.json", "metrics.json", "report.html", "results.csv", "results.json"}
+    assert changed == {"experiment.json", "report.html", "results.csv", "results.json"}
 
 
 def test_pictures_too_small_for_raw_files_are_refused_before_the_capture(
@@ -270,12 +277,12 @@ def test_an_interrupted_second_configuration_leaves_no_report_that_mixes_both(
     other = replace(tiny, settings={**tiny.settings, "fit.iterations": 20})
     with pytest.raises(KeyboardInterrupt):
         run(other, folder, Interrupting("reconstruct naive", 10), report=write_report, overwrite=True)
-    assert not {"experiment.json", "metrics.json", "report.html"} & {path.name for path in folder.iterdir()}
-    for use in (score_all, write_report):
-        with pytest.raises(ValueError, match=r"neither a run .* run the same command again"):
-            use(folder, quiet)
+    assert not {"experiment.json", "report.html"} & {path.name for path in folder.iterdir()}
+    (done,) = runs_in([folder]).values()  # of this configuration, though the oracle of the other is there
+    assert (done.name, done.record["config"]["fit"]["iterations"]) == ("nova-fast", 20)
+    assert "Rendered by oracle" not in write_report(folder, quiet).read_text(encoding="utf-8")
     run(other, folder, quiet, report=write_report, overwrite=True)
-    assert (folder / "report.html").exists()
+    assert "Rendered by oracle" in (folder / "report.html").read_text(encoding="utf-8")
 
 
 def test_scores_of_an_earlier_run_are_not_reported(
@@ -285,20 +292,27 @@ def test_scores_of_an_earlier_run_are_not_reported(
     shutil.copytree(experiment, folder)
     config = replace(tiny.reconstruct("naive"), seed=1)
     stages.reconstruct(folder / "capture", folder / "naive", config, quiet, overwrite=True)
-    with pytest.raises(ValueError, match="no scores of naive as of now: run novags score"):
+    with pytest.raises(ValueError, match="naive is not scored: run novags score .*naive"):
         write_report(folder, quiet)
-    score_all(folder, quiet)
+    before = read_json(folder / "results.json")["rows"]
+    for place, runs in together([folder / "naive"]).items():
+        assert place == folder
+        score_all(place, runs, quiet)
     write_report(folder, quiet)
+    shares = ("recovered", "recovered_lit")  # they change with the floor
+    for was, row in zip(before, read_json(folder / "results.json")["rows"], strict=True):
+        if row["method"] == "naive":
+            assert row["lit.psnr"] == scores_of(folder)["naive"]["mean"]["lit"]["psnr"] != was["lit.psnr"]
+        else:
+            assert {name: row[name] for name in row if name not in shares} == {
+                name: was[name] for name in was if name not in shares}  # fmt: skip
 
 
 def test_a_method_that_was_never_scored_is_not_reported(experiment: Path, quiet: Console, tmp_path: Path) -> None:
     folder = tmp_path / "copy"
     shutil.copytree(experiment, folder)
-    metrics = json.loads((folder / "metrics.json").read_text())
-    del metrics["methods"]["naive"]
-    (folder / "metrics.json").write_text(json.dumps(metrics))
     (folder / "naive" / "metrics.json").unlink()
-    with pytest.raises(ValueError, match="no scores of naive as of now"):
+    with pytest.raises(ValueError, match="naive is not scored"):
         write_report(folder, quiet)
 
 
@@ -364,7 +378,7 @@ def test_the_report_is_one_self_contained_file(experiment: Path) -> None:
 
 def test_the_report_states_the_scores_that_were_measured(experiment: Path, tiny: Preset) -> None:
     page = (experiment / "report.html").read_text(encoding="utf-8")
-    methods = read_json(experiment / "metrics.json")["methods"]
+    methods = scores_of(experiment)
     for method in tiny.methods:
         for kind in ("enhanced", "lit"):
             assert f"{methods[method]['mean'][kind]['aligned_psnr']:.2f}" in page

@@ -315,13 +315,11 @@ def test_commands_that_messages_advise_are_such_that_a_shell_takes(
     folder.mkdir()
     (folder / "curves.jsonl").write_text("")
     (folder / "one.png").touch()  # photographs without cameras
-    monkeypatch.setattr(place, "find_runs", lambda _: {})
-    run: Any = SimpleNamespace(path=folder, scores=lambda: None)
+    run: Any = SimpleNamespace(path=folder, metrics=lambda: None)
     quiet = Console(quiet=True)
     for attempt, advice in (
         (lambda: import_photographs(folder, tmp_path / "out", ImportConfig(), quiet), "novags poses {} --out SET"),
         (lambda: known(folder), "novags pareto METHOD --out {} measures"),
-        (lambda: place.read_place(folder, quiet), "run novags score {} first"),
         (lambda: place.merged({"naive": run}), "run novags score {}"),
     ):
         with pytest.raises(ValueError, match=re.escape(advice.format(f"'{folder}'"))):

@@ -17,9 +17,9 @@ from novags.testbed.dataset.file import SPLITS, DatasetConfig, spelled
 from novags.testbed.dataset.publish import INDEX, Entry, entries_of, link, views_of, write_index
 from novags.testbed.dataset.shards import FOLDER, remove_shards, write_shards
 from novags.testbed.dataset.splits import splits_of
+from novags.testbed.folders.runs import STUDY
 from novags.testbed.ledger.contents import write_json
 from novags.testbed.study.cells.grid import Study
-from novags.testbed.study.conduct import STUDY
 from novags.testbed.study.plan import Plan
 from novags.testbed.study.session import jsonable_table
 from sensor_model.files.atomic import remove, write_text

@@ -21,17 +21,15 @@ import numpy as np
 from novags.testbed.console.provenance import package_version
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import Capture
-from novags.testbed.folders.experiment import gather
 from novags.testbed.folders.exposures import as_compared, exposures_of
 from novags.testbed.folders.references import references
-from novags.testbed.folders.run import Run, open_run
+from novags.testbed.folders.run import Run
+from novags.testbed.folders.runs import runs_in
 from novags.testbed.folders.set import Source
-from novags.testbed.ledger.contents import read_json, write_json
+from novags.testbed.ledger.contents import write_json
 from novags.testbed.ledger.dry import planned
 from novags.testbed.metrics.images import psnr, ssim
 from novags.testbed.metrics.perceptual import PerceptualDistance
-from novags.testbed.study.conduct import STUDY
-from novags.testbed.study.results import JSON, ROWS
 from sensor_model.files.atomic import remove
 from sensor_model.files.door import read_bytes, resolved
 from simscenes.sets.names import safe_name
@@ -67,7 +65,7 @@ def export_results(
     """
     if (out / RESULTS).exists() and not overwrite:
         raise ValueError(f"{out} holds {RESULTS} already: choose another --out, or add --overwrite")
-    runs = _named(runs_of(folders), reference, console)
+    runs = _named(list(runs_in(folders).values()), reference, console)
     places = [out / safe_name(method) / scene for _, method, scene in runs]
     planned(console, "export-results", [out / RESULTS, *(place / name for place in places for name in OWN)])
     (out / RESULTS).unlink(missing_ok=True)  # an interruption leaves no table that is not of what lies beside it
@@ -104,25 +102,6 @@ def _named(runs: Sequence[Run], reference: str, console: Console) -> list[tuple[
                      == capture.content)  # fmt: skip
         named.append((run, _method_of(run, {method for _, method, where in named if where == scene}), scene))
     return named
-
-
-def runs_of(folders: Sequence[Path]) -> list[Run]:
-    """Every run of these; of a study those that are done.
-
-    Raises:
-        ValueError: If no run is found, or a folder is of another kind.
-    """
-    found: list[Run] = []
-    for folder in folders:
-        if (folder / STUDY).is_file():
-            rows = read_json(folder / JSON, ROWS)["rows"]
-            done = [folder / row["folder"] for row in rows if row["state"] == "done"]
-            found += [open_run(resolved(path)) for path in done]
-        else:
-            found += gather([folder]).values()
-    if not found:
-        raise ValueError(f"{', '.join(map(str, folders)) or 'nothing'}: there are no finished runs to export")
-    return list({resolved(run.path): run for run in found}.values())
 
 
 def scene_names(capture: Capture) -> Iterator[str]:

@@ -169,13 +169,18 @@ class Run:
         if content != self.record["stage"]["inputs"][name]:
             raise ValueError(f"{path} has changed since {self.path} was made from it: put it back or reconstruct again")
 
-    def scores(self) -> dict[str, Any] | None:
-        """Its part of metrics.json; None if it has not been scored since it was made."""
+    def metrics(self) -> dict[str, Any] | None:
+        """Its metrics.json; None if it has not been scored since it was made."""
         if not (self.path / METRICS).exists():
             return None
-        record = read_json(self.path / METRICS, shapes.METRICS)
+        record = dict(read_json(self.path / METRICS, shapes.METRICS))
         refuse_damage(self.path, record.get("stage", {}), "score it again")
-        return dict(record["methods"]).get(self.name)
+        return record
+
+    def scores(self) -> dict[str, Any] | None:
+        """Its part of metrics.json; None if it has not been scored since it was made."""
+        record = self.metrics()
+        return None if record is None else dict(record["methods"]).get(self.name)
 
     def digest(self) -> str:
         """Hash of everything the method produced, scores excluded."""

@@ -38,7 +38,7 @@ RUN = {
     "seconds": {"*": float},
     "stage": {**STAGE, "inputs": {"capture": str, "set": str}, "versions": {"*": str}, "hardware": HARDWARE},
 }  # fmt: skip
-EXPERIMENT = {"command": (str, None), "methods": [str], "preset": dict}
+EXPERIMENT = {"command": (str, None), "preset": dict}
 GEOMETRY = {"abs_rel": MEASURED, "within_5_percent": MEASURED, "coverage": MEASURED, "floaters": MEASURED,
             "consistency": {"excess": MEASURED}}  # fmt: skip
 BLUR = {"psnr": MEASURED, "aligned_psnr": MEASURED, "sigma": float}
@@ -48,9 +48,4 @@ SCORES = {
     "training_2d": ({"enhanced": dict, "blur": BLUR, "best_blur?": BLUR}, None), "seconds": {"*": float},
     "peak_bytes": int,
 }  # fmt: skip
-METRICS = {
-    "methods": {"*": SCORES},
-    "recovered": {"*": float},
-    "recovered_lit?": {"*": float},
-    "unavailable": {"*": str},
-}
+METRICS = {"methods": {"*": SCORES}, "unavailable": {"*": str}}

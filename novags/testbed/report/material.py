@@ -177,7 +177,7 @@ def _rows(places: Mapping[str, Place]) -> list[dict[str, Any]]:
     found: list[dict[str, Any]] = []
     for title, place in places.items():
         columns = {**{f"over.{kind}": place.deltas(kind)[0] for kind in MAIN},
-                   **{key: place.metrics.get(key, {}) for key in ("recovered", "recovered_lit")}}  # fmt: skip
+                   **{key: place.metrics[key] for key in ("recovered", "recovered_lit")}}  # fmt: skip
         for name in place.runs:
             own = {column: values[name] for column, values in columns.items() if name in values}
             row = {"run": len(found) + 1, CAPTURE: title, METHOD: name, "state": "done"}

@@ -10,14 +10,15 @@ from typing import Any
 from markupsafe import Markup
 
 from novags.testbed.console.terminal import Console
-from novags.testbed.folders.experiment import REPORT, experiments_in
+from novags.testbed.folders.run import RECORD
+from novags.testbed.folders.runs import EXPERIMENT, REPORT
 from novags.testbed.ledger.contents import digest, jsonable
 from novags.testbed.ledger.dry import planned
 from novags.testbed.report.blocks import configuration, cost, header, light, look, scores, signal, simulated, training
 from novags.testbed.report.look.album import Album, files_of
 from novags.testbed.report.material import Material, material_of
 from novags.testbed.report.parts import Block, Page
-from novags.testbed.report.place import command_of, places_in, read_place
+from novags.testbed.report.place import command_of, places_in
 from novags.testbed.report.study import study_material
 from novags.testbed.report.words import number, size
 from sensor_model.files.atomic import write_text
@@ -42,14 +43,14 @@ BLOCKS = (  # of every page, in this order: what is taken out here is on no page
 
 
 def write_report(folder: Path, console: Console) -> Path:
-    """Write `folder`/report.html on an experiment or a run, and return its path.
+    """Write `folder`/report.html on a study of one place or a run, and return its path.
 
     Raises:
         ValueError: If the folder holds nothing scored, or what it refers to is gone.
         BlockingIOError: If another process is writing there.
     """
     with locked(folder, make=False):
-        return build(material_of([read_place(folder, console)], folder / REPORT, command_of(folder)), console)
+        return build(material_of(places_in([folder], console), folder / REPORT, command_of(folder)), console)
 
 
 def write_reports(
@@ -67,7 +68,7 @@ def write_reports(
         ValueError: If a folder holds nothing scored, what it refers to is gone, or `out` is something else.
         BlockingIOError: If another process is writing there.
     """
-    if len(folders) == 1 and out is None and experiments_in(folders[0]) == [folders[0]]:
+    if len(folders) == 1 and out is None and any((folders[0] / name).exists() for name in (EXPERIMENT, RECORD)):
         return write_report(folders[0], console)
     path = out or report_path(folders)
     places = places_in(folders, console)

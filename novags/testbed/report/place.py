@@ -10,13 +10,13 @@ from typing import Any
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders import shapes
 from novags.testbed.folders.capture import Capture
-from novags.testbed.folders.experiment import EXPERIMENT, find_runs, gather
 from novags.testbed.folders.exposures import Exposures, exposures_of
-from novags.testbed.folders.run import METRICS, Run
+from novags.testbed.folders.run import Run
+from novags.testbed.folders.runs import EXPERIMENT, runs_in
 from novags.testbed.folders.set import Source
 from novags.testbed.ledger.contents import read_json
 from novags.testbed.report.rows import Row, main_row, rows_of
-from novags.testbed.stages.scores.scoring import deltas, merge
+from novags.testbed.stages.scores.scoring import deltas, recovered_shares
 
 MAIN = {"enhanced": "aligned_psnr", "lit": "tone_aligned_psnr"}  # the score of each reference that runs are compared by
 
@@ -28,7 +28,7 @@ class Place:
     capture: Capture
     lit: Source  # the set it was made from
     runs: dict[str, Run]  # by the names that a page gives them
-    metrics: dict[str, Any]  # their scores: as metrics.json of an experiment
+    metrics: dict[str, Any]  # their scores, see `merged`
     views: Sequence[int] = ()  # those of which a page has pictures
 
     @property
@@ -72,28 +72,6 @@ class Place:
         return deltas(self.metrics["methods"], methods, kind, MAIN[kind])
 
 
-def read_place(folder: Path, console: Console) -> Place:
-    """Read a scored experiment or run.
-
-    Raises:
-        ValueError: If it is not there or not scored, or its runs were made from different captures or not from those
-            that are there now.
-    """
-    runs = find_runs(folder)
-    if not (folder / METRICS).exists():
-        raise ValueError(f"{folder} has no {METRICS}: run novags score {quote(str(folder))} first")
-    metrics = read_json(folder / METRICS, shapes.METRICS)
-    inputs = {captured.path: (captured, lit) for captured, lit in (run.inputs(console) for run in runs.values())}
-    if len(inputs) > 1:
-        raise ValueError(f"the runs in {folder} were made from different captures: {', '.join(map(str, inputs))}")
-    scored = metrics["methods"]
-    if old := [name for name, run in runs.items() if name not in scored or run.scores() != scored[name]]:
-        raise ValueError(f"{folder / METRICS} has no scores of {', '.join(old)} as of now: run novags score "
-                         f"{quote(str(folder))}")  # fmt: skip
-    capture, lit = next(iter(inputs.values()))
-    return Place(capture, lit, runs, metrics)
-
-
 def command_of(folder: Path) -> str | None:
     """The command that made an experiment; None of what is none."""
     path = folder / EXPERIMENT
@@ -117,7 +95,7 @@ def runs_by_capture(folders: Sequence[Path], console: Console) -> list[tuple[Cap
         ValueError: If a folder holds no run, or a run no longer fits its capture.
     """
     found: dict[str, tuple[Capture, Source, dict[str, Run]]] = {}
-    for name, run in gather(folders).items():
+    for name, run in runs_in(folders).items():
         capture, lit = run.inputs(console)
         found.setdefault(capture.content, (capture, lit, {}))[2][name] = run
     return list(found.values())
@@ -141,10 +119,12 @@ def merged(runs: Mapping[str, Run]) -> dict[str, Any]:
     Raises:
         ValueError: If one of them is not scored.
     """
-    metrics = {}
+    scores, unavailable = dict[str, Any](), dict[str, str]()
     for name, run in runs.items():
-        scores = run.scores()
-        if scores is None:
+        record = run.metrics()
+        if record is None or run.name not in record["methods"]:
             raise ValueError(f"{run.path} is not scored: run novags score {quote(str(run.path))}")
-        metrics[name] = {"methods": {name: scores}, "unavailable": {}}
-    return merge(metrics, {name: run.method for name, run in runs.items()})
+        scores[name] = record["methods"][run.name]
+        unavailable |= record["unavailable"]
+    shares, why = recovered_shares(scores, {name: run.method for name, run in runs.items()})
+    return {"methods": scores, **shares, "unavailable": unavailable | why}

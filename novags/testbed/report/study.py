@@ -11,20 +11,19 @@ from novags.testbed.console.terminal import Console, warnings_as_notes
 from novags.testbed.folders import shapes
 from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.folders.run import Run, open_run
+from novags.testbed.folders.runs import STUDY, TABLE
 from novags.testbed.folders.set import Source
 from novags.testbed.report.grid import COLUMNS, Line, by_place
 from novags.testbed.report.material import Made, Material, made_of
 from novags.testbed.report.place import Place
 from novags.testbed.report.rows import looks_of
-from novags.testbed.study.conduct import STUDY
 from novags.testbed.study.light import MEASURES, METHOD
-from novags.testbed.study.results import JSON
 from sensor_model.files.records import check_shape, read_record
 
 AGAIN = "run the study again: what is done is kept"
 VALUE = (str, float, bool)  # of an axis
 RESULTS: Any = {"axes": {"*": [VALUE]}, "rows": list}
-TABLE: Any = {"file": str, "table": {"variant?": {"*": {"method": str}}, "method?": dict, "override?": dict}}
+FILE: Any = {"file": str, "table": {"variant?": {"*": {"method": str}}, "method?": dict, "override?": dict}}
 ROW: Any = {"state": str, "method": str, "run": int, "reason?": (str, None), "stage?": (str, None),
             "folder?": (str, None)}  # fmt: skip
 QUIET = Console(quiet=True)
@@ -32,7 +31,7 @@ QUIET = Console(quiet=True)
 
 def is_study(folder: Path) -> bool:
     """Whether a folder holds the tables of a study."""
-    return (folder / STUDY).is_file() and (folder / JSON).is_file()
+    return (folder / STUDY).is_file() and (folder / TABLE).is_file()
 
 
 def study_material(folder: Path, path: Path) -> Material:
@@ -41,8 +40,8 @@ def study_material(folder: Path, path: Path) -> Material:
     Raises:
         ValueError: If its tables cannot be read, or nothing is done yet.
     """
-    rows, axes = read_rows(folder / JSON)
-    study = read_record(folder / STUDY, TABLE, AGAIN)
+    rows, axes = read_rows(folder / TABLE)
+    study = read_record(folder / STUDY, FILE, AGAIN)
     if not any(row["state"] == "done" for row in rows):
         raise ValueError(f"{folder} has no finished run to show: run its study first, or with --retry-failed")
     looks = looks_of(dict.fromkeys(str(row[METHOD]) for row in rows), study["table"])

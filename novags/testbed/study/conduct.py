@@ -10,7 +10,7 @@ from typing import Any
 
 from novags.testbed.console.terminal import Console
 from novags.testbed.ledger.contents import read_json, write_json
-from novags.testbed.ledger.store import SEAL, costs
+from novags.testbed.ledger.store import SEAL, costs, read_seal
 from novags.testbed.study.costs import Costs, longest_after, time_left
 from novags.testbed.study.elsewhere.nodes import keep_scores
 from novags.testbed.study.engines.choice import Engine, Work, log_of
@@ -20,14 +20,23 @@ from novags.testbed.study.plan import Plan
 from novags.testbed.study.results import State, Table, rows_before
 from sensor_model.files.atomic import atomic
 
-STUDY, FAILURES = "study.json", "failures.json"
+FAILURES = "failures.json"
 KEPT = 0.05  # s; to compare a finished entry with its checksums
 TABLES_EVERY = 10.0  # s; at least, between two writings of the tables while runs end
 
 
 def there(plan: Plan, store: Path) -> set[str]:
     """The entries that a store has, by their seals; whether their files are as they were is seen when they are used."""
-    return {key for key, task in plan.tasks.items() if (task.folder(store) / SEAL).exists()}
+    return {key for key, task in plan.tasks.items() if _is_sealed(task.folder(store), key if task.place else None)}
+
+
+def _is_sealed(folder: Path, key: str | None) -> bool:
+    """Whether an entry has a seal; of this key where its name does not hold it."""
+    if key is None:
+        return (folder / SEAL).exists()
+    with suppress(ValueError):  # a damaged one, which the entry itself says
+        return (seal := read_seal(folder)) is not None and seal.key == key
+    return False
 
 
 def conduct(

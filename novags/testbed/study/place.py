@@ -2,25 +2,23 @@
 
 set/ (unless one is given)   capture/   a folder for each method or variant
 results.csv   results.json   one row a run, as of every study; failures.json and logs/ where there are any
-experiment.json   metrics.json   report.html   what describes all runs together
+experiment.json   report.html   what was asked for, once all is done, and the page
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
 
 from novags.testbed import stages
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders import capture as captures
 from novags.testbed.folders import shapes
-from novags.testbed.folders.experiment import EXPERIMENT, REPORT, REPORT_FILES, find_runs
 from novags.testbed.folders.place import place_of
-from novags.testbed.folders.run import METRICS, RECORD
+from novags.testbed.folders.run import RECORD, Run
+from novags.testbed.folders.runs import EXPERIMENT, REPORT, REPORT_FILES, ROWS, TABLE, runs_in
 from novags.testbed.ledger.contents import UNFINISHED, read_json, write_json
 from novags.testbed.ledger.dry import NOT_DONE, dry_run, planned
 from novags.testbed.ledger.stage import refuse_other
-from novags.testbed.stages.scores.scoring import merge
 from novags.testbed.study.cells.grid import Cell, Study
 from novags.testbed.study.cells.presets import Preset
 from novags.testbed.study.conduct import FAILURES, conduct
@@ -28,13 +26,13 @@ from novags.testbed.study.engines.choice import Engine
 from novags.testbed.study.engines.here import Here
 from novags.testbed.study.entry import Task
 from novags.testbed.study.plan import Plan, Planner, check
-from novags.testbed.study.results import CSV, JSON
+from novags.testbed.study.results import CSV, rescored
 from novags.testbed.study.steps import steps
 from sensor_model.files.door import resolved
 from sensor_model.files.lock import dry, locked
 
-DESCRIBED = (EXPERIMENT, METRICS, REPORT, REPORT_FILES)  # files that describe all runs in the folder
-TAKEN = ("set", "capture", *DESCRIBED, CSV, JSON, FAILURES, "logs", UNFINISHED)  # what lies beside the runs
+DESCRIBED = (EXPERIMENT, REPORT, REPORT_FILES)  # files that describe all runs in the folder
+TAKEN = ("set", "capture", *DESCRIBED, CSV, TABLE, FAILURES, "logs", UNFINISHED)  # what lies beside the runs
 
 
 def run(
@@ -64,9 +62,8 @@ def run(
         shows = Console(quiet=True) if engine is None else console
         rows = conduct(plan, out, out, shows, engine or here, retry_failed=True)
         page = out
-        if done := [row["method"] for row in rows if row["state"] == "done"]:
-            write_json(out / EXPERIMENT, {"command": command, "methods": done, "preset": asdict(preset)})
-            _write_metrics(out, {name: read_json(out / name / METRICS, shapes.METRICS) for name in done})
+        if any(row["state"] == "done" for row in rows):
+            write_json(out / EXPERIMENT, {"command": command, "preset": asdict(preset)})
             page = page if report is None else report(out, console)
         if reasons := dict.fromkeys(str(row["reason"]) for row in rows if row["state"] != "done"):
             raise here.errors[0] if len(here.errors) == 1 else ValueError("; ".join(reasons))
@@ -122,8 +119,8 @@ def _refuse_other(preset: Preset, out: Path) -> None:
         _refuse_set_elsewhere(out)
     for name in preset.methods:
         refuse_other(out / name, RECORD, preset.reconstruct(name).resolved())
-    if (out / EXPERIMENT).exists():
-        before = read_json(out / EXPERIMENT, shapes.EXPERIMENT)["methods"]
+    if (out / TABLE).exists():
+        before = [row["method"] for row in read_json(out / TABLE, ROWS)["rows"] if row["state"] == "done"]
         if lost := [name for name in before if name not in preset.methods]:
             raise ValueError(
                 f"{out} holds a finished comparison with {', '.join(lost)}, which this request leaves out: name them "
@@ -163,32 +160,42 @@ def said(preset: Preset, out: Path, console: Console, *, overwrite: bool = False
             again, waits = kept == [False], task.place
         made[key] = again
     with dry_run():
-        planned(console, "run", [out / name for name in (EXPERIMENT, METRICS, REPORT)])
+        planned(console, "run", [out / name for name in (EXPERIMENT, CSV, TABLE, REPORT)])
 
 
-def score_all(folder: Path, console: Console) -> dict[str, Any]:
-    """Score a run, or every run of an experiment; returns the mean scores by name.
+def together(folders: Sequence[Path]) -> dict[Path, list[Run]]:
+    """Runs by the folder that is held while they are scored: the folder of their study of one place, or their own.
+
+    Raises:
+        ValueError: As `runs_in`.
+    """
+    found = dict[Path, list[Run]]()
+    for run in runs_in(folders).values():
+        found.setdefault(run.path.parent if _is_done(run.path.parent) else run.path, []).append(run)
+    return found
+
+
+def score_all(folder: Path, runs: Sequence[Run], console: Console) -> None:
+    """Score runs; where they lie in the folder of a study of one place, its table is written again.
 
     Args:
-        folder: Of the run or the experiment.
+        folder: Of the study, or of the only run.
+        runs: The runs, see `together`.
         console: Where progress goes.
 
     Raises:
-        ValueError: If `folder` is neither, or what its runs refer to is gone.
+        ValueError: If what a run refers to is gone.
         BlockingIOError: If another process is writing there.
     """
     with locked(folder, make=False):
-        metrics = dict[str, Any]()
-        for name, one in find_runs(folder).items():
+        for run in runs:
             with dry_run(dry.get()):  # in a dry run each says what it would do
-                metrics[name] = stages.score(one.path, console)
-        if not (folder / RECORD).exists():
-            planned(console, "score", [folder / METRICS])
-            _write_metrics(folder, metrics)
-    return {name: one["methods"][name]["mean"] for name, one in metrics.items()}
+                stages.score(run.path, console)
+        if _is_done(folder):
+            planned(console, "score", [folder / name for name in (CSV, TABLE)])
+            rescored(folder)
 
 
-def _write_metrics(folder: Path, metrics: Mapping[str, Any]) -> None:
-    """The scores of all runs of an experiment, in one file."""
-    methods = {name: one.method for name, one in find_runs(folder).items()}
-    write_json(folder / METRICS, merge(dict(metrics), methods))
+def _is_done(folder: Path) -> bool:
+    """Whether a folder holds a finished study of one place; version 0.1.0 wrote no table."""
+    return (folder / EXPERIMENT).exists() and (folder / TABLE).exists()

@@ -8,17 +8,17 @@ from typing import Any
 
 from novags.testbed.console.csv_text import as_csv
 from novags.testbed.folders import shapes
-from novags.testbed.folders.run import METRICS
+from novags.testbed.folders.run import METRICS, open_run
+from novags.testbed.folders.runs import ROWS, TABLE
 from novags.testbed.ledger.contents import read_json, write_json
 from novags.testbed.ledger.store import read_seal
-from novags.testbed.stages.scores.scoring import recovered_fractions
+from novags.testbed.stages.scores.scoring import recovered_shares
 from novags.testbed.study.entry import Task
 from novags.testbed.study.knobs.measurement import read_measured
 from novags.testbed.study.plan import Plan
 from sensor_model.files.atomic import write_text
 
-JSON, CSV = "results.json", "results.csv"
-ROWS: Any = {"axes": dict, "rows": [{"state": str, "folder": str}]}  # of results.json
+CSV = "results.csv"
 COSTS = ("seconds.", "peak_bytes")  # beginnings of the columns that differ from one time to the next
 
 
@@ -75,10 +75,7 @@ class Table:
     def write(self, states: Mapping[str, State]) -> list[dict[str, Any]]:
         """Write both tables; returns the rows."""
         rows = self.rows(states)
-        columns = list(dict.fromkeys(name for row in rows for name in row))
-        columns.sort(key=lambda name: name.startswith(COSTS))  # stable: costs go last
-        write_text(self.out / CSV, as_csv(rows, columns))
-        write_json(self.out / JSON, {"axes": self.plan.study.axes, "columns": columns, "rows": rows})
+        _write(self.out, self.plan.study.axes, rows)
         return rows
 
     def _scores_of(self, key: str) -> dict[str, Any]:
@@ -110,24 +107,56 @@ class Table:
                 groups.setdefault(place, {})[cell.preset.methods[0]] = key
         found: dict[str, dict[str, float]] = {}
         for keys in groups.values():
-            if len(keys) < 2:
-                continue
-            scores = {name: {"mean": self._means(key)} for name, key in keys.items()}
-            methods = {name: self.plan.tasks[key].config.variant.method for name, key in keys.items()}
-            for column, kind, number in (("recovered", "enhanced", "aligned_psnr"),
-                                         ("recovered_lit", "lit", "tone_aligned_psnr")):  # fmt: skip
-                for name, share in recovered_fractions(scores, methods, kind, number)[0].items():
-                    found.setdefault(keys[name], {})[column] = share
+            if len(keys) > 1:
+                methods = {name: self.plan.tasks[key].config.variant.method for name, key in keys.items()}
+                shares = _shares({name: self._scores_of(key) for name, key in keys.items()}, methods)
+                found |= {keys[name]: own for name, own in shares.items()}
         return found
 
-    def _means(self, key: str) -> dict[str, dict[str, Any]]:
-        """The mean scores by reference, from the flat ones."""
-        found: dict[str, dict[str, Any]] = {}
-        for name, value in self._scores_of(key).items():
+
+def rescored(out: Path) -> None:
+    """Write the tables of a study of one place again, with the scores that its runs have now.
+
+    Raises:
+        ValueError: If the tables or the scores of a run cannot be read.
+    """
+    table = read_json(out / TABLE, ROWS)
+    scores, methods = dict[str, dict[str, Any]](), dict[str, str]()
+    for row in table["rows"]:
+        if row["state"] == "done":
+            run = open_run(out / row["folder"])
+            methods[row["method"]] = run.method
+            if (own := run.scores()) is not None:
+                scores[row["method"]] = flat_scores(own)
+    shares = _shares(scores, methods)
+    kept = ("run", *table["axes"], "state", "reason", "stage", "log", "folder")
+    _write(out, table["axes"], [
+        {**{name: row.get(name) for name in kept}, **shares.get(row["method"], {}), **scores.get(row["method"], {})}
+        for row in table["rows"]
+    ])  # fmt: skip
+
+
+def _write(out: Path, axes: Mapping[str, Any], rows: list[dict[str, Any]]) -> None:
+    columns = list(dict.fromkeys(name for row in rows for name in row))
+    columns.sort(key=lambda name: name.startswith(COSTS))  # stable: costs go last
+    write_text(out / CSV, as_csv(rows, columns))
+    write_json(out / TABLE, {"axes": axes, "columns": columns, "rows": rows})
+
+
+def _shares(scores: Mapping[str, Mapping[str, Any]], methods: Mapping[str, str]) -> dict[str, dict[str, float]]:
+    """The recovered shares of runs of one place, by run, from their columns."""
+    means = dict[str, Any]()
+    for run, columns in scores.items():
+        mean = means.setdefault(run, {"mean": {}})["mean"]
+        for name, value in columns.items():
             kind, dot, number = name.partition(".")
             if dot:
-                found.setdefault(kind, {})[number] = value
-        return found
+                mean.setdefault(kind, {})[number] = value
+    found = dict[str, dict[str, float]]()
+    for column, values in recovered_shares(means, methods)[0].items():
+        for run, share in values.items():
+            found.setdefault(run, {})[column] = share
+    return found
 
 
 def rows_before(plan: Plan, out: Path, store: Path, url: str | None, sealed: set[str]) -> dict[str, dict[str, Any]]:
@@ -141,7 +170,7 @@ def rows_before(plan: Plan, out: Path, store: Path, url: str | None, sealed: set
         sealed: Keys of the entries that are there.
     """
     try:
-        rows = read_json(out / JSON, ROWS)["rows"] if (out / JSON).exists() else []
+        rows = read_json(out / TABLE, ROWS)["rows"] if (out / TABLE).exists() else []
     except ValueError:  # damaged, which `refuse_other` has said unless it may be overwritten: all are looked at again
         return {}
     done = {row["folder"]: row for row in rows if row["state"] == "done"}

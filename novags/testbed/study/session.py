@@ -10,13 +10,12 @@ import os
 from pathlib import Path
 from typing import Any
 
-from novags.testbed.folders.experiment import EXPERIMENT
 from novags.testbed.folders.run import RECORD
+from novags.testbed.folders.runs import EXPERIMENT, ROWS, STUDY, TABLE
 from novags.testbed.ledger.contents import jsonable, read_json, write_json
 from novags.testbed.study.cells.grid import Study
-from novags.testbed.study.conduct import STUDY
 from novags.testbed.study.plan import Plan
-from novags.testbed.study.results import CSV, JSON, ROWS, place_of
+from novags.testbed.study.results import CSV, place_of
 
 SHAPE: Any = {"file": str, "table": dict, "runs": [{"values": dict, "key": str, "folder": str}]}
 
@@ -52,12 +51,12 @@ def refuse_other(plan: Plan, out: Path) -> None:
     """
     if not (out / STUDY).exists():
         if taken := [
-            name for name in (JSON, CSV, EXPERIMENT, RECORD, "set.json", "capture.json") if (out / name).exists()
+            name for name in (TABLE, CSV, EXPERIMENT, RECORD, "set.json", "capture.json") if (out / name).exists()
         ]:
             raise ValueError(f"{out} already holds {', '.join(taken)}, and no study wrote that: choose another --out")
         return
     before = read_json(out / STUDY, SHAPE)
-    table = read_json(out / JSON, ROWS) if (out / JSON).exists() else {"axes": {}, "rows": []}
+    table = read_json(out / TABLE, ROWS) if (out / TABLE).exists() else {"axes": {}, "rows": []}
     # A table has its own axes: study.json may be newer, if it was killed in between.
     finished = [{name: row.get(name) for name in table["axes"]} for row in table["rows"] if row["state"] == "done"]
     if not finished:

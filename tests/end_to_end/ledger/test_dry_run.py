@@ -62,7 +62,7 @@ def test_a_run_says_of_every_part_what_it_would_do(
     words = ("run", "--scene", "ball.xml", "--out", "all", "--methods", "naive", *SMALL, *SHORT)
     assert call(*words, "--dry-run") == 0
     said = capsys.readouterr().err
-    parts = ["render", "capture", "naive", "score naive", "run", "run", "run"]
+    parts = ["render", "capture", "naive", "score naive", "run", "run", "run", "run"]
     assert [line.split(":")[0] for line in said.splitlines()] == parts
     assert not Path("all").exists()
     assert call(*words) == 0
@@ -77,7 +77,7 @@ def test_a_run_says_of_every_part_what_it_would_do(
     assert call("score", "all", "--dry-run") == 0
     said = capsys.readouterr().err
     assert "score: unchanged, kept all/naive" in said
-    assert "score: to be made again in all: metrics.json is there" in said
+    assert "score: to be made again in all: results.json is there" in said
     assert whole(tmp_path) == before
 
 
@@ -128,7 +128,7 @@ LINES = (
     Line(("denoise", "capture", "--out", "new"), (f"denoise: to be made in new {DONE}",)),
     Line(("run", "--scene", "set", "--out", "new", "--methods", "naive", *SHORT),
          (f"capture: to be made in new/capture {DONE}", f"naive: to be made {DONE}", f"score naive: to be made {DONE}",
-          *made("new/experiment.json", "new/metrics.json", "new/report.html", by="run")[0])),
+          *made("new/experiment.json", "new/results.csv", "new/results.json", "new/report.html", by="run")[0])),
     Line(("run", "--scene", "set", "--out", "new", "--methods", "naive", "--points", "60", "--budget", "60s"),
          ("budget 60 s: the experiment to be tried on a small scale, for 6 s at most", "iterations 2400 -> ",
           f"run: naive to be made, scored and reported with these settings {DONE}",

@@ -97,7 +97,6 @@ def _imports() -> None:
 def _leave_out_the_work() -> None:
     """In the child, since other readers need the stages."""
     import novags.commands.answers.doctor as doctor
-    import novags.testbed.folders.experiment as folders
     import novags.testbed.importing.calibration_frames as frames
     import novags.testbed.report.page as page
     import novags.testbed.report.place as place
@@ -116,7 +115,7 @@ def _leave_out_the_work() -> None:
     stages.render = lambda *a, **k: {"views": {"0000": view}}  # type: ignore[assignment]
     experiment.run = lambda *a, **k: Path("report.html")
     page.write_reports = lambda *a, **k: Path("report.html")
-    folders.experiments_in = lambda folder: [folder]
+    experiment.together = lambda folders: {folder: [] for folder in folders}
     place.places_in = lambda *a: []
     forecast.light_plan = lambda *a, **k: None
     forecast.sensor_plan = lambda *a, **k: ("", {})

@@ -119,32 +119,30 @@ def make_run(folder: Path) -> None:
             "seconds": {"render": 1.0, "capture": 1.0, "reconstruct": 2.0}, "peak_bytes": 10**8,
         }  # fmt: skip
         (run / "metrics.json").write_text(
-            json.dumps({"methods": {name: methods[name]}, "recovered": {}, "unavailable": {}})
+            json.dumps({"methods": {name: methods[name]}, "unavailable": {"lpips": "not installed"}})
         )
-    merged = {"methods": methods, "recovered": {}, "recovered_lit": {}, "unavailable": {"lpips": "not installed"}}
-    (folder / "metrics.json").write_text(json.dumps(merged))
-    (folder / "experiment.json").write_text(
-        json.dumps({"command": "novags run", "methods": ["naive", "oracle"], "preset": {}})
-    )
+    rows = [{"run": run, "method": name, "state": "done", "folder": name} for run, name in enumerate(methods, 1)]
+    (folder / "results.json").write_text(json.dumps({"axes": {"method": list(methods)}, "rows": rows}))
+    (folder / "experiment.json").write_text(json.dumps({"command": "novags run", "preset": {}}))
 
 
 def read_experiment(folder: Path, file: Path) -> object:
     """As score and report do before they compute."""
     from novags.testbed.console.terminal import Console
-    from novags.testbed.folders.experiment import find_runs
-    from novags.testbed.report.place import read_place
-    from novags.testbed.stages.scores.scoring import merge, stage_seconds
+    from novags.testbed.report.place import command_of, places_in
+    from novags.testbed.stages.scores.scoring import stage_seconds
+    from novags.testbed.study.results import rescored
 
     quiet = Console(quiet=True)
-    place = read_place(folder, quiet)
-    runs = find_runs(folder)
+    (place,) = places_in([folder], quiet)
+    rescored(folder)
     found = []
-    for run in runs.values():
+    for run in place.runs.values():
         found.append(
             (run.events(), run.rendering("0000"), run.depth("0000"), run.depth_scale, run.enhancement, run.space)
         )
         found.append((stage_seconds(run, *run.inputs(quiet)), place.metrics))
-    return found, merge({name: place.metrics for name in runs}, {name: run.method for name, run in runs.items()})
+    return found, command_of(folder)
 
 
 def make_viewed(folder: Path) -> None:
@@ -230,7 +228,7 @@ RUN = (
     "naive/metrics.json",
     "naive/events.jsonl",
     "experiment.json",
-    "metrics.json",
+    "results.json",
     "capture/capture.json",
 )
 READERS = [

@@ -112,7 +112,7 @@ def test_a_method_without_gaussians_goes_through_the_whole_experiment(
     monkeypatch.setitem(METHODS, "constant", replace(DUMMY, config=lambda: ConstantConfig(space=space)))
     preset = adapted(EXPERIMENTS["demo"], **TINY, methods=("constant", "naive", "oracle"))
     page = run(preset, tmp_path, QUIET, report=write_report).read_text(encoding="utf-8")
-    record, metrics = read_json(tmp_path / "constant" / "run.json"), read_json(tmp_path / "metrics.json")
+    record, metrics = read_json(tmp_path / "constant" / "run.json"), read_json(tmp_path / "constant" / "metrics.json")
     assert (record["colors"], record["space"]) == (1, space)
     assert "gaussians" not in record
     assert (tmp_path / "constant" / "scene" / "color.txt").read_text() == "0.250000 0.250000 0.250000"

@@ -21,7 +21,7 @@ from novags.testbed.folders.set import open_source
 from novags.testbed.ledger.contents import read_json
 from novags.testbed.report.rows import deviations, rows_of
 from novags.testbed.stages.configs.capturing import CaptureConfig
-from novags.testbed.stages.scores.scoring import merge
+from novags.testbed.stages.scores.scoring import recovered_shares
 from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
 from simscenes import orbit_rig
 from simscenes.sets.multiview import load_set, write_cameras
@@ -91,7 +91,7 @@ def use_run(path: Path) -> None:
 
 def use_metrics(path: Path) -> None:
     scores = read_json(path, shapes.METRICS)["methods"]
-    merge(dict.fromkeys(scores, read_json(path, shapes.METRICS)), dict.fromkeys(scores, "naive"))
+    recovered_shares(scores, dict.fromkeys(scores, "naive"))
 
 
 @pytest.mark.parametrize(
@@ -199,8 +199,8 @@ def test_truth_that_lacks_a_channel_or_has_another_size_is_refused_by_name(line:
 def test_small_faults_that_only_many_damaged_files_show(tmp_path: Path) -> None:
     """Rationale: each was found by `python -m tests.fuzz`, in records that looked right but for one value."""
     from novags.testbed.console.terminal import Console
-    from novags.testbed.folders.experiment import find_runs
     from novags.testbed.folders.run import Run
+    from novags.testbed.folders.runs import runs_in
     from novags.testbed.ledger.code import Code
     from novags.testbed.ledger.contents import UNFINISHED
     from novags.testbed.ledger.stage import _Stage
@@ -218,6 +218,7 @@ def test_small_faults_that_only_many_damaged_files_show(tmp_path: Path) -> None:
         with pytest.raises(ValueError, match=rf"{UNFINISHED}.*(seconds must be a finite number|below 2\*\*64)"):
             _Stage("score", tmp_path, "metrics.json", Code({}, {}), (), (), quiet).earlier_cost({"key": "k"})
     (tmp_path / UNFINISHED).unlink()
-    (tmp_path / "experiment.json").write_text('{"command": null, "methods": [], "preset": {}}')
-    with pytest.raises(ValueError, match=r"experiment.json names no methods"):
-        find_runs(tmp_path)
+    (tmp_path / "experiment.json").write_text('{"command": null, "preset": {}}')
+    (tmp_path / "results.json").write_text('{"axes": {"method": []}, "rows": []}')
+    with pytest.raises(ValueError, match="holds no finished run"):
+        runs_in([tmp_path])

@@ -80,7 +80,7 @@ def darkness(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_signal_of_a_millionth_electron_is_not_scored_and_said(
     darkness: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    metrics = read_json(darkness / "metrics.json")
+    metrics = read_json(darkness / "naive" / "metrics.json")
     naive = metrics["methods"]["naive"]
     assert [naive["mean"]["enhanced"][name] for name in ALIGNED] == [None] * 4
     assert naive["mean"]["lit"]["tone_aligned_psnr"] < 40

@@ -37,7 +37,7 @@ def scores(material: Material, page: Page) -> dict[str, Any]:
 def _of_one(material: Material, place: Place, page: Page) -> dict[str, Any]:
     metrics = place.metrics
     commands = {made.name: material.commands[number] for number, made in material.made.items()}
-    recovered = {"enhanced": metrics["recovered"], "lit": metrics.get("recovered_lit", {})}
+    recovered = {"enhanced": metrics["recovered"], "lit": metrics["recovered_lit"]}
     views = {kind: per_view(metrics, kind) for kind in COLUMNS if kind not in LABELS}
     tables = {}
     for kind in COLUMNS:

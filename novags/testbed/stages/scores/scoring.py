@@ -1,5 +1,6 @@
 """Scores of one run against the truth: held-out views in 3D, training pictures in 2D, depth, cameras, consistency."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -71,7 +72,7 @@ def _score(run_path: Path, console: Console) -> dict[str, Any]:
             )
         unavailable |= missing_references(run, captured, lit)
         unavailable |= shows_nothing(scores["views"])
-        return {"methods": {run.name: method}, "recovered": {}, "unavailable": unavailable}
+        return {"methods": {run.name: method}, "unavailable": unavailable}
 
     return run_stage(
         "score", run_path, METRICS, code=code_of_scores(run, lit), inputs=inputs,
@@ -221,32 +222,31 @@ def stage_seconds(run: Run, captured: Capture, lit: Source) -> dict[str, float]:
     return {**seconds, **{f"reconstruct/{part}": float(s) for part, s in run.record["seconds"].items()}}
 
 
-def merge(metrics: dict[str, dict[str, Any]], methods: dict[str, str]) -> dict[str, Any]:
-    """One metrics.json for an experiment from those of its runs, with the recovered fractions.
+def recovered_shares(
+    scores: Mapping[str, Any], methods: Mapping[str, str]
+) -> tuple[dict[str, dict[str, float]], dict[str, str]]:
+    """What each run wins back of what noise costs: `recovered` and `recovered_lit`, by run; and why one is not known.
+
+    `recovered` = (method - floor) / (ceiling - floor) in aligned PSNR against `enhanced`, `recovered_lit` the same in
+    tone-aligned PSNR against `lit`, for every run but the bounds.
 
     Args:
-        metrics: The metrics.json of each run, by its name.
+        scores: The scores of each run, by its name.
         methods: The method of each run, by its name.
-
-    Returns:
-        Methods and what was unavailable of all runs; `recovered` = (method - floor) / (ceiling - floor) in aligned PSNR
-        against `enhanced`, `recovered_lit` the same in tone-aligned PSNR against `lit`, for every run but the bounds.
     """
-    found = {name: run["methods"][name] for name, run in metrics.items()}
-    merged: dict[str, Any] = {"methods": found}
-    unavailable = {what: why for run in metrics.values() for what, why in run["unavailable"].items()}
-    for key, kind, number in (
+    shares, unavailable = dict[str, dict[str, float]](), dict[str, str]()
+    for column, kind, number in (
         ("recovered", "enhanced", "aligned_psnr"),
         ("recovered_lit", "lit", "tone_aligned_psnr"),
     ):
-        merged[key], why = recovered_fractions(found, methods, kind, number)
+        shares[column], why = recovered_fractions(scores, methods, kind, number)
         if why is not None:
-            unavailable[key] = why
-    return {**merged, "unavailable": unavailable}
+            unavailable[column] = why
+    return shares, unavailable
 
 
 def recovered_fractions(
-    scores: dict[str, Any], methods: dict[str, str], kind: str = "enhanced", number: str = "aligned_psnr"
+    scores: Mapping[str, Any], methods: Mapping[str, str], kind: str = "enhanced", number: str = "aligned_psnr"
 ) -> tuple[dict[str, float], str | None]:
     """The share of what noise costs that each run wins back, and the reason where it is unknown.
 
@@ -284,7 +284,7 @@ def recovered_fractions(
     return {name: (value[name] - floor) / span for name in value if name not in bounds}, None
 
 
-def bounds_of(methods: dict[str, str]) -> dict[str, list[str]]:
+def bounds_of(methods: Mapping[str, str]) -> dict[str, list[str]]:
     """The runs at each end of the scale, "floor" and "ceiling": methods as they are, not variants of them.
 
     Args:

@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from novags.testbed.folders import shapes
-from novags.testbed.folders.experiment import EXPERIMENT
-from novags.testbed.folders.run import METRICS
+from novags.testbed.folders.runs import EXPERIMENT, ROWS, TABLE
 from novags.testbed.ledger.contents import jsonable, read_json
 from novags.testbed.study.budget.choice import Option
 from novags.testbed.study.cells.presets import Preset
@@ -101,11 +100,10 @@ def after(preset: Preset, out: Path, state: State, against: Path | None) -> list
 
 def _scores(folder: Path, preset: Preset | None) -> dict[str, float] | None:
     """Aligned PSNR of each method; None if the experiment is unfinished, or has other settings than the preset."""
-    if not ((folder / EXPERIMENT).exists() and (folder / METRICS).exists()):
+    if not (folder / EXPERIMENT).exists():
         return None
     record = read_json(folder / EXPERIMENT, shapes.EXPERIMENT)
-    if preset is not None and record.get("preset") != jsonable(asdict(preset)):
+    if preset is not None and record["preset"] != jsonable(asdict(preset)):
         return None
-    methods = read_json(folder / METRICS)["methods"]
-    scores = {name: found["mean"].get("enhanced", {}).get("aligned_psnr") for name, found in methods.items()}
+    scores = {row["method"]: row.get("enhanced.aligned_psnr") for row in read_json(folder / TABLE, ROWS)["rows"]}
     return {name: score for name, score in scores.items() if score is not None}

@@ -13,7 +13,7 @@ from typing import Any
 from novags.cameras.sources.known import KnownConfig
 from novags.testbed.console.provenance import hardware
 from novags.testbed.console.terminal import Console
-from novags.testbed.folders.experiment import EXPERIMENT
+from novags.testbed.folders.runs import EXPERIMENT
 from novags.testbed.ledger.contents import digest, jsonable, read_json, write_json
 from novags.testbed.study.budget import said
 from novags.testbed.study.budget.choice import Choice, Option, choice_of, choose, fastest

@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from novags.testbed.console.terminal import Console
+from novags.testbed.folders.runs import ROWS, TABLE
 from novags.testbed.ledger.contents import read_json
 from novags.testbed.ledger.difference import from_request, listed
 from novags.testbed.ledger.dry import NOT_DONE
@@ -15,7 +16,6 @@ from novags.testbed.study.curves.measuring import measurements_of
 from novags.testbed.study.knobs.measurement import MEASURED
 from novags.testbed.study.knobs.subjects import PARTS, chosen
 from novags.testbed.study.plan import Plan, plan_of
-from novags.testbed.study.results import JSON, ROWS
 from sensor_model.files.toml_file import read_toml
 
 STUDIES = Path(__file__).parent / "studies"
@@ -78,7 +78,7 @@ def told(plan: Plan, store: Path) -> Iterator[str]:
 
 def again(plan: Plan, out: Path) -> str:
     """Why what the table in `out` has is measured again; "" if it is not."""
-    rows = read_json(out / JSON, ROWS)["rows"] if (out / JSON).exists() else []
+    rows = read_json(out / TABLE, ROWS)["rows"] if (out / TABLE).exists() else []
     before = {tuple(row.get(name) for name in plan.study.axes): row["folder"] for row in rows if row["state"] == "done"}
     for cell, key in plan.runs:
         task = plan.tasks[key]

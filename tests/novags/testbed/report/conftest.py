@@ -47,27 +47,29 @@ def experiment(tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.copytree(folder / "naive", folder / "better")
     better = Variant(name="better", method="naive", settings={"fit.dssim_weight": "0.1"})
     preset = adapted(EXPERIMENTS["demo"], variants=(better,))
-    metrics = json.loads((folder / "metrics.json").read_text())
+    known = {
+        name: json.loads((folder / name / "metrics.json").read_text())["methods"][name] for name in ("naive", "oracle")
+    }
     for name, value in PSNR.items():
         asked = jsonable(preset.reconstruct(name).resolved())
         run = json.loads((folder / name / "run.json").read_text()) | {"name": name, "config": asked["config"]}
         run["stage"]["config"], run["enhancement"]["config"] = asked, {}
         run["stage"]["inputs"] = inputs
         (folder / name / "run.json").write_text(json.dumps(run))
-        scores = json.loads(json.dumps(metrics["methods"].get(name, metrics["methods"]["naive"])))
+        scores = json.loads(json.dumps(known.get(name, known["naive"])))
         for kind in ("enhanced", "lit"):
             scores["mean"][kind] |= {"aligned_psnr": value, "tone_aligned_psnr": value / 2, "flip": value / 100}
         scores["views"] = {view: {kind: scores["mean"][kind] | {"aligned_psnr": value + off}
                                   for kind in ("enhanced", "lit")} for view, off in VIEW.items()}  # fmt: skip
         scores["noise"] = {"known": 0.0625, "targets": 1.0, "renders": value / 100, "bias_floor": 31.257}
-        metrics["methods"][name] = scores
         (folder / name / "metrics.json").write_text(
-            json.dumps({"methods": {name: scores}, "recovered": {}, "unavailable": {}, "stage": STAGE})
+            json.dumps({"methods": {name: scores}, "unavailable": {"lpips": "not installed"}, "stage": STAGE})
         )
         events = [{"iteration": k, "photometric": 2.0**-k * value} for k in range(1, 6)]
         (folder / name / "events.jsonl").write_text("".join(json.dumps(event) + "\n" for event in events))
-    (folder / "metrics.json").write_text(json.dumps(metrics))
-    (folder / "experiment.json").write_text(json.dumps({"command": "novags run", "methods": list(PSNR), "preset": {}}))
+    rows = [{"run": run, "method": name, "state": "done", "folder": name} for run, name in enumerate(PSNR, 1)]
+    (folder / "results.json").write_text(json.dumps({"axes": {"method": list(PSNR)}, "rows": rows}))
+    (folder / "experiment.json").write_text(json.dumps({"command": "novags run", "preset": {}}))
     write_report(folder, QUIET)
     return folder
 

@@ -14,7 +14,7 @@ from novags.testbed.console.terminal import Console
 from novags.testbed.report import page
 from novags.testbed.report.blocks.cost import costs
 from novags.testbed.report.material import Material, material_of
-from novags.testbed.report.place import Place, read_place
+from novags.testbed.report.place import Place, places_in
 from novags.testbed.report.study import study_material
 
 QUIET = Console(quiet=True)
@@ -63,10 +63,10 @@ def kind(request: pytest.FixtureRequest, experiment: Path, copy: Path, study: Pa
     def make(path: Path) -> Material:
         if request.param == "study":
             return study_material(study, path)
-        place = read_place(experiment, QUIET)
+        (place,), (other,) = places_in([experiment], QUIET), places_in([copy], QUIET)
         for run in place.runs.values():
             run.record["cameras"] = CAMERAS  # so that their block has something to show, too
-        return material_of([place] if request.param == "one" else [place, renamed(read_place(copy, QUIET))], path)
+        return material_of([place] if request.param == "one" else [place, renamed(other)], path)
 
     return make
 

@@ -1,7 +1,6 @@
 """Claims about a report in a browser: what its controls do, and that what they show is what the files say."""
 
 import csv
-import json
 import math
 import shutil
 import sys
@@ -18,6 +17,7 @@ sys.path.insert(0, str(ROOT))  # where pytest is started by itself and not as a 
 from novags.testbed.console.terminal import Console  # noqa: E402
 from novags.testbed.folders.capture import open_capture  # noqa: E402
 from novags.testbed.folders.run import open_run  # noqa: E402
+from novags.testbed.folders.runs import runs_in  # noqa: E402
 from novags.testbed.report.again import run_again  # noqa: E402
 from novags.testbed.report.look import album  # noqa: E402
 from novags.testbed.report.page import write_report  # noqa: E402
@@ -96,7 +96,7 @@ def test_csv_has_the_numbers_of_the_files_in_the_order_that_is_shown(
         ).click()
     assert loading.value.suggested_filename == "scores-enhanced.csv"
     rows = list(csv.DictReader(Path(loading.value.path()).read_text(encoding="utf-8").splitlines()))
-    metrics = json.loads((experiment / "metrics.json").read_text())["methods"]
+    metrics = {name: run.scores() or {} for name, run in runs_in([experiment]).items()}
     assert [row["Method"] for row in rows] == sorted(metrics)
     assert [row["sees truth"] for row in rows] == ["no", "no", "yes"]
     for row in rows:

@@ -18,7 +18,7 @@ from novags.testbed.report.look.maps import ERROR_CEILING, depth_map, error_map
 from novags.testbed.report.tables import COLUMNS, ranked, scores_of
 from novags.testbed.report.words import duration, join, number, signed, size
 from novags.testbed.stages.scores import scoring
-from novags.testbed.stages.scores.scoring import merge, recovered_fractions
+from novags.testbed.stages.scores.scoring import recovered_fractions, recovered_shares
 
 
 def method(value: float, **others: Any) -> dict[str, Any]:
@@ -65,16 +65,13 @@ def test_without_ends_to_measure_between_there_is_a_reason_instead_of_a_number(m
     assert message in why
 
 
-def test_merging_keeps_every_method_and_every_reason() -> None:
-    runs = {
-        name: {"methods": {name: method(value)}, "recovered": {}, "unavailable": {"lpips": "no weights"}}
-        for name, value in (("nova", 25.0), ("naive", 20.0), ("oracle", 30.0))
-    }
-    merged = merge(runs, itself(runs))
-    assert list(merged["methods"]) == ["nova", "naive", "oracle"]
-    assert merged["recovered"] == {"nova": pytest.approx(0.5)}
-    assert merged["recovered_lit"] == {"nova": pytest.approx(0.5)}
-    assert merged["unavailable"] == {"lpips": "no weights"}
+def test_what_is_recovered_is_known_against_both_references() -> None:
+    scores = {name: method(value) for name, value in (("nova", 25.0), ("naive", 20.0), ("oracle", 30.0))}
+    shares, why = recovered_shares(scores, itself(scores))
+    assert shares == {"recovered": {"nova": pytest.approx(0.5)}, "recovered_lit": {"nova": pytest.approx(0.5)}}
+    assert why == {}
+    _, why = recovered_shares({"nova": scores["nova"]}, {"nova": "nova"})
+    assert set(why) == {"recovered", "recovered_lit"}
 
 
 def test_a_variant_of_a_bound_is_measured_between_the_bounds() -> None:

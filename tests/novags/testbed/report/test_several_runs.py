@@ -12,7 +12,7 @@ sys.path.insert(0, str(ROOT))  # where pytest is started by itself and not as a 
 
 from novags.testbed import stages  # noqa: E402
 from novags.testbed.console.terminal import Console  # noqa: E402
-from novags.testbed.folders.experiment import gather  # noqa: E402
+from novags.testbed.folders.runs import runs_in  # noqa: E402
 from novags.testbed.report.page import write_reports  # noqa: E402
 from novags.testbed.report.place import places_in  # noqa: E402
 from novags.testbed.stages.configs.capturing import CaptureConfig  # noqa: E402
@@ -51,17 +51,16 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
         text = (third / name).read_text()
         (third / name).write_text(text.replace('"name": "naive"', '"name": "naive-l1"').replace(
             '{"naive": {', '{"naive-l1": {').replace("20.0", "24.5"))  # fmt: skip
-    (folder / "one" / "experiment.json").write_text(
-        json.dumps({"command": None, "methods": ["naive-l1", "oracle"], "preset": {}})
-    )
+    table = (folder / "one" / "results.json").read_text()
+    (folder / "one" / "results.json").write_text(table.replace('"naive"', '"naive-l1"'))
     return folder
 
 
 def test_runs_of_a_folder_of_experiments_have_names_that_differ(runs: Path) -> None:
-    assert list(gather([runs])) == ["dim/naive", "dim/oracle", "naive-l1", "one/oracle", "two/naive", "two/oracle"]
-    assert list(gather([runs / "two", runs / "two" / "naive"])) == ["naive", "oracle"]
-    with pytest.raises(ValueError, match="neither a run"):
-        gather([runs / "one" / "set" / "images"])
+    assert list(runs_in([runs])) == ["dim/naive", "dim/oracle", "naive-l1", "one/oracle", "two/naive", "two/oracle"]
+    assert list(runs_in([runs / "two", runs / "two" / "naive"])) == ["naive", "oracle"]
+    with pytest.raises(ValueError, match="holds no finished run: neither a run.json"):
+        runs_in([runs / "one" / "set" / "images"])
 
 
 def test_only_runs_of_one_capture_are_compared_and_bounds_are_found_among_them(runs: Path) -> None:

@@ -16,6 +16,7 @@ from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import open_capture
 from novags.testbed.folders.references import references
 from novags.testbed.folders.run import open_run
+from novags.testbed.folders.runs import runs_in
 from novags.testbed.report.page import write_report
 from novags.testbed.stages.configs.capturing import CaptureConfig
 from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
@@ -132,7 +133,8 @@ def experiment(mosaics: Path) -> Path:
 
 
 def test_both_references_are_scored_and_reported_by_name(experiment: Path) -> None:
-    scores = json.loads((experiment / "metrics.json").read_text())["methods"]
+    scores = {name: run.scores() or {} for name, run in runs_in([experiment]).items()}
+    assert len(scores) == 3
     for found in scores.values():
         assert list(found["mean"]) == ["enhanced", "enhanced_demosaiced", "lit"]
         assert found["mean"]["enhanced"]["aligned_psnr"] != found["mean"]["enhanced_demosaiced"]["aligned_psnr"]

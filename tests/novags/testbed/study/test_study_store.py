@@ -9,10 +9,11 @@ from typing import Any
 import pytest
 
 from novags.testbed.console.terminal import Console
+from novags.testbed.folders.runs import STUDY
 from novags.testbed.ledger.contents import write_json
 from novags.testbed.ledger.store import SEAL, read_seal
 from novags.testbed.study.cells.grid import read_study
-from novags.testbed.study.conduct import FAILURES, STUDY, read_failures
+from novags.testbed.study.conduct import FAILURES, read_failures
 from novags.testbed.study.entry import Order
 from novags.testbed.study.plan import Plan, plan_of
 from novags.testbed.study.session import describe, refuse_other

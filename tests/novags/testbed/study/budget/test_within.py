@@ -81,10 +81,11 @@ def write(out: Path, preset: Preset, scores: dict[str, float]) -> None:
     from dataclasses import asdict
 
     out.mkdir(parents=True, exist_ok=True)
-    record = {"command": None, "methods": list(preset.methods), "preset": jsonable(asdict(preset))}
+    record = {"command": None, "preset": jsonable(asdict(preset))}
     (out / "experiment.json").write_text(json.dumps(record))
-    methods = {name: {"mean": {"enhanced": {"aligned_psnr": score}}} for name, score in scores.items()}
-    (out / "metrics.json").write_text(json.dumps({"methods": methods}))
+    rows = [{"method": name, "state": "done", "folder": name, "enhanced.aligned_psnr": score}
+            for name, score in scores.items()]  # fmt: skip
+    (out / "results.json").write_text(json.dumps({"axes": {"method": list(scores)}, "rows": rows}))
 
 
 @pytest.fixture

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from novags.testbed.console.terminal import Console
+from novags.testbed.folders.runs import TABLE
 from novags.testbed.study.costs import Costs
 from novags.testbed.study.curves.curve import curves
 from novags.testbed.study.curves.measuring import read_any
@@ -14,7 +15,7 @@ from novags.testbed.study.curves.study import again, told
 from novags.testbed.study.engines.choice import OneMachine
 from novags.testbed.study.knobs import measurement
 from novags.testbed.study.knobs.subjects import sizes_of
-from novags.testbed.study.results import CSV, JSON
+from novags.testbed.study.results import CSV
 from novags.testbed.study.session import refuse_other
 
 QUIET = Console(quiet=True)
@@ -148,7 +149,7 @@ def test_what_cannot_be_measured_is_a_row_and_is_tried_again(made: Any) -> None:
 
 def test_the_table_of_a_study_has_a_row_a_measurement(made: Any) -> None:
     made.measure()
-    rows = json.loads((made.folder / "made" / JSON).read_text())["rows"]
+    rows = json.loads((made.folder / "made" / TABLE).read_text())["rows"]
     assert rows[0]["parts.fit"] == rows[0]["seconds"] == 1.0
     assert (made.folder / "made" / CSV).read_text().splitlines()[0].startswith("run,knob,setting,seed,state")
 
