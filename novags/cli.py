@@ -20,7 +20,7 @@ from novags.commands.store import store
 from novags.commands.study import study
 from novags.commands.video import video
 from novags.commands.view import view
-from novags.failure import errors_in_one_line
+from novags.failure import errors_in_one_line, warnings_in_one_line
 
 NUMBERS = tyro.constructors.ConstructorRegistry()
 COMMANDS: dict[str, Callable[..., None]] = {
@@ -58,7 +58,7 @@ def main() -> None:
 
         print(f"novags {version('novags')}")
         return
-    with errors_in_one_line():
+    with errors_in_one_line(), warnings_in_one_line():
         words, common = without_common(sys.argv[1:])
         commands = {name: _with_numbers(command) for name, command in COMMANDS.items()}
         with common, NUMBERS:
