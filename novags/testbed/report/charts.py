@@ -150,7 +150,7 @@ class Chart:
         for place, each in enumerate(self.series):
             parts += self._drawn(each)
             parts += self._named(each, right + 14, top + LINE * place - 10) if self.legend else []
-        return "".join(parts)
+        return "\n".join(parts)
 
     def _held(self, series: Series) -> list[Point]:
         return [point for point in series.points if self.y.holds(point.y)]
@@ -187,7 +187,8 @@ class Chart:
     def _named(self, series: Series, x: float, y: float) -> Iterator[str]:
         """A line of the legend."""
         yield f'<line class="line {series.line or ""} {escape(series.key)}" x1="{x}" x2="{x + 24}" y1="{y}" y2="{y}"/>'
-        yield _mark(series, x + 12, y) if series.mark else ""
+        if series.mark:
+            yield _mark(series, x + 12, y)
         yield (f'<text class="name" x="{x + 30}" y="{y + 4}"><title>{escape(series.name)}</title>'
                f"{escape(shortened(series.name))}</text>")  # fmt: skip
 
