@@ -10,7 +10,7 @@ import pytest
 from novags.methods.problem import encode
 from novags.testbed.folders.exposures import Exposures
 from novags.testbed.report.blocks.training import fits, smoothed
-from novags.testbed.report.look.maps import ERROR_CEILING, depth_map, error_map
+from novags.testbed.report.look.maps import ERROR_CEILING, colour_map, depth_map, error_map
 from novags.testbed.report.tables import COLUMNS, ranked, scores_of
 from novags.testbed.report.words import duration, join, number, signed, size
 from novags.testbed.stages.scores import scoring
@@ -148,6 +148,16 @@ def test_smoothing_keeps_the_mean_and_the_end() -> None:
     assert len(few) == 100
     assert few[-1][0] == 1000
     assert np.mean([y for _, y in few]) == pytest.approx(np.mean([y for _, y in points]))
+
+
+@pytest.mark.parametrize("name", ["magma", "viridis"])
+def test_colour_maps_are_those_of_matplotlib_in_every_8_bit_code(name: str) -> None:
+    """Rationale: pages made before must show the same colours."""
+    matplotlib = pytest.importorskip("matplotlib", reason="matplotlib is not installed (scripts/setup dev)")
+    values = np.append(np.linspace(-0.1, 1.1, 5000), np.arange(257) / 256).reshape(1, -1).astype(np.float32)
+    theirs = np.rint(255 * matplotlib.colormaps[name](np.clip(values, 0, 1))[..., :3])
+    assert np.array_equal(np.rint(255 * colour_map(values, name)), theirs)
+    assert len(np.unique(theirs.reshape(-1, 3), axis=0)) > 200
 
 
 def test_error_maps_are_black_where_right_and_bright_at_the_ceiling() -> None:
