@@ -1,9 +1,9 @@
 """Charts as SVG: series over two axes, each linear or logarithmic, for pages and for files of their own.
 
 Colours and fonts come from style/chart.css, so that light and dark pages both fit; scripts/plots.js shows the values
-where one points. No JavaScript library draws them instead: pictures beside a page and those of `novags pareto` are
-written without a browser, and need all of this. Minified, uPlot would add 51 kB to each page, Chart.js 210 and
-Observable Plot with d3 490; plots.js has 3 kB.
+where one points. No JavaScript library draws them instead: pictures beside a page and of `novags pareto` are written
+without a browser, and need all of this. uPlot, tried with the losses, adds 51 kB to each page (plots.js: 3 kB) and wants
+one x for all lines, or gaps between fits are lost. Chart.js adds 210 kB, Observable Plot with d3 490.
 """
 
 import json
