@@ -23,7 +23,7 @@ def doctor() -> None:
 
 
 def list_(what: Annotated[Listed, tyro.conf.Positional] = "all") -> None:
-    """List what is available: scenes, sensors, methods and variants, light levels, presets, cameras, enhancers.
+    """List scenes, sensors, methods and variants, light levels, presets, sources of cameras, enhancers and metrics.
 
     Args:
         what: One of these lists, or all.

@@ -8,13 +8,14 @@ import tyro
 from novags.commands.shared import next_, say
 from novags.options import Name
 
-Kind = Literal["method", "enhancer", "camera", "scene", "study"]
+Kind = Literal["method", "enhancer", "camera", "scene", "metric", "study"]
 # How each file is tried, with {} for its name.
 TRIED = {
     "method": "run --plugin {0}.py --methods naive {0} oracle",
     "enhancer": "run --plugin {0}.py --methods naive {0}-gs oracle",
     "camera": "run --plugin {0}.py --cameras {0}:step_deg=30",
     "scene": "run --plugin {0}.py --scene {0}",
+    "metric": "score RUN --plugin {0}.py",
     "study": "study {0}.toml --out {0} --dry-run",
 }
 

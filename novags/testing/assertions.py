@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from novags.testing.known import PosedViews
 
-SMALLER_IS_BETTER = ("flip", "delta_e", "lpips", "abs_rel", "floaters", "rotation_deg", "centre_error")
+SMALLER_IS_BETTER = ("abs_rel", "floaters", "rotation_deg", "centre_error")  # beside the rows of METRICS that say so
 WHITE = 0.97  # quantile of the true light that counts as white: the raw data's own is far above all that is dark
 GROUPS = 4  # of pixels by brightness, in each of which the noise must fit
 
@@ -37,9 +37,9 @@ def assert_scores(
         All mean scores.
     """
     __tracebackhide__ = True
+    from novags.testbed.metrics import networks
     from novags.testbed.metrics.images import image_scores
     from novags.testbed.metrics.linear import exposure_gain, linear_psnr
-    from novags.testbed.metrics.perceptual import PerceptualDistance
 
     images = _images(views, pictures, linear=against == "linear")
     if against not in ("lit", "clean", "linear"):
@@ -54,8 +54,7 @@ def assert_scores(
             gain = exposure_gain(zip(images, truth, strict=True), white)
         scores = [{"linear_psnr": linear_psnr(*pair, gain, white)} for pair in zip(images, truth, strict=True)]
     else:
-        lpips = PerceptualDistance() if "lpips" in bounds else None
-        scores = [dict(image_scores(*pair, lpips)) for pair in zip(images, truth, strict=True)]
+        scores = [dict(image_scores(*pair, networks() & bounds.keys())) for pair in zip(images, truth, strict=True)]
     return _hold(f"against {against}", views, scores, bounds)
 
 
@@ -228,6 +227,7 @@ def _hold(
 ) -> dict[str, float | None]:
     """The mean scores; they must lie within the bounds."""
     __tracebackhide__ = True
+    from novags.testbed.metrics import METRICS
     from novags.testbed.metrics.images import mean_scores
 
     names = views.names if isinstance(views, PosedViews) else views
@@ -239,7 +239,8 @@ def _hold(
             raise ValueError(f"the bound of {name} must be a number, got {bound!r}")
         found = mean[name]
         assert found is not None, f"{name} {what} cannot be measured: there is nothing to see in the truth or no depth"
-        least, sign = name not in SMALLER_IS_BETTER, 1 if name not in SMALLER_IS_BETTER else -1
+        least = METRICS[name].more if name in METRICS else name not in SMALLER_IS_BETTER
+        sign = 1 if least else -1
         judged = [(sign * view[name], label) for view, label in zip(scores, names, strict=True)
                   if view[name] is not None]  # fmt: skip
         worst, where = min(judged)

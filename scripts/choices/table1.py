@@ -31,7 +31,7 @@ from novags.methods import METHODS, chosen, with_variants
 from novags.methods.variant import Variant
 from novags.process import settle
 from novags.testbed.console.csv_text import as_csv, text_of
-from novags.testbed.report.grid import HELPED, Line, by_place, lines_of
+from novags.testbed.report.grid import Line, by_place, is_helped, lines_of
 from novags.testbed.report.rows import looks_of
 from sensor_model.files.toml_file import read_toml
 
@@ -112,7 +112,7 @@ def cell(line: Line, score: str) -> str:
     if score == SECONDS:
         mean, sd = min(row[SECONDS] for row in line.runs if row.get(SECONDS) is not None), None
     text = f"{factor * mean:.{digits}f}" + ("" if sd is None else f" ± {factor * sd:.{digits}f}")
-    text += " ‡" if score in HELPED and line.in_linear_light else ""
+    text += " ‡" if is_helped(score) and line.in_linear_light else ""
     rank = line.places.get(score) if colored else None
     return (f"**{text}**" if rank == 1 else text) + (MEDALS.get(rank, "") if rank else "")
 

@@ -122,7 +122,7 @@ def test_a_long_exposure_lets_the_ceiling_run_and_scores_against_itself(
     run = open_run(tmp_path / "run")
     capture, _ = run.inputs(quiet)
     reference = enhanced_truth(capture, 8, run.enhancement or {})
-    assert metrics["views"]["0008"]["enhanced"]["psnr"] == image_scores(run.rendering("0008"), reference, None)["psnr"]
+    assert metrics["views"]["0008"]["enhanced"]["psnr"] == image_scores(run.rendering("0008"), reference)["psnr"]
     ours = reconstructed(line / "ours", tmp_path / "ours", tiny, quiet, "oracle")["methods"]["oracle"]
     # Ten times the light has a tenth of the variance; renders after 8 steps are far worse than what that changes.
     assert metrics["mean"]["enhanced"]["aligned_psnr"] == pytest.approx(ours["mean"]["enhanced"]["aligned_psnr"], abs=1)

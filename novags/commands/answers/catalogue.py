@@ -1,4 +1,4 @@
-"""What is available, as text: scenes, sensors, methods and variants, light levels, presets, camera sources."""
+"""Lists of all that is available, as text."""
 
 import textwrap
 from collections.abc import Callable, Iterable
@@ -104,6 +104,17 @@ def enhancers() -> str:
     return table([(name, f"{enhancer.title}{_from(ENHANCERS, name)}") for name, enhancer in ENHANCERS.items()])
 
 
+def metrics() -> str:
+    """What rendered pictures are scored by; scores of depth, noise and cameras come beside them."""
+    from novags.testbed.metrics import METRICS
+
+    better = {True: "more is better", False: "less is better"}
+    after = {"none": "", "affine": ", after a gain and an offset per channel",
+             "tone": ", after a monotone curve per channel"}  # fmt: skip
+    return table([(name, f"{row.heading}{f', {row.unit}' * bool(row.unit)}{after[row.aligned]}: {better[row.more]}"
+                   f"{_from(METRICS, name)}") for name, row in METRICS.items()])  # fmt: skip
+
+
 def _from(rows: "Registry[Any]", name: str) -> str:
     """Where a row from outside comes from."""
     origin = rows.origin_of(name)
@@ -123,4 +134,5 @@ LISTS: dict[str, Callable[[], str]] = {
     "presets": presets,
     "cameras": cameras,
     "enhancers": enhancers,
+    "metrics": metrics,
 }

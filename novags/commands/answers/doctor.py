@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from novags.testbed.console.provenance import hardware, package_version
-from novags.testbed.metrics.perceptual import PerceptualDistance
+from novags.testbed.metrics.perceptual import missing
 from sensor_model.files.python import INTERPRETER, python
 
 
@@ -34,8 +34,7 @@ def examine() -> Iterator[Finding]:
     yield _gsplat(machine["gpu"])
     yield from _mitsuba()
     yield _kernels()
-    missing = PerceptualDistance.missing()
-    yield Finding("LPIPS", "missing" if missing else "ok", missing or "package and weights found")
+    yield Finding("LPIPS", "missing" if (why := missing()) else "ok", why or "package and weights found")
 
 
 def _python() -> Finding:

@@ -29,7 +29,7 @@ from novags.testbed.folders.set import Source
 from novags.testbed.ledger.contents import write_json
 from novags.testbed.ledger.dry import planned
 from novags.testbed.metrics.images import psnr, ssim
-from novags.testbed.metrics.perceptual import PerceptualDistance
+from novags.testbed.metrics.perceptual import lpips, missing
 from sensor_model.files.atomic import remove
 from sensor_model.files.door import read_bytes, resolved
 from simscenes.sets.names import safe_name
@@ -69,12 +69,11 @@ def export_results(
     places = [out / safe_name(method) / scene for _, method, scene in runs]
     planned(console, "export-results", [out / RESULTS, *(place / name for place in places for name in OWN)])
     (out / RESULTS).unlink(missing_ok=True)  # an interruption leaves no table that is not of what lies beside it
-    lpips = None if PerceptualDistance.missing() is not None else PerceptualDistance()
     identity = dataset if reference == "lit" else f"{dataset}-{reference}"
     table: dict[str, dict[str, Any]] = {}
     with console.progress("export") as progress:
         for done, ((run, method, scene), place) in enumerate(zip(runs, places, strict=True)):
-            found = _results_of(run, *run.inputs(console), reference, place, lpips)
+            found = _results_of(run, *run.inputs(console), reference, place)
             write_json(place / RESULTS, _record(run, method, identity, scene, found, place / PREDICTIONS))
             row = table.setdefault(method, {"id": method, "name": method, "description": run.record.get("title", ""),
                                             "scenes": {}})  # fmt: skip
@@ -122,16 +121,14 @@ def _method_of(run: Run, taken: Collection[str]) -> str:
     return next(name for name in names if name not in taken)
 
 
-def _results_of(
-    run: Run, capture: Capture, lit: Source, reference: str, place: Path, lpips: PerceptualDistance | None
-) -> dict[str, list[float]]:
+def _results_of(run: Run, capture: Capture, lit: Source, reference: str, place: Path) -> dict[str, list[float]]:
     """Scores of every held-out view; writes the pictures that they compare."""
     remove(place / PREDICTIONS)
     found: dict[str, list[float]] = {}
     indices = capture.cameras.test_indices
     exposures = exposures_of(run, capture, lit) if run.space == "linear" else None
     rig = capture.cameras.rig
-    lpips = None if PerceptualDistance.missing(rig.width, rig.height) is not None else lpips
+    perceptual = missing(rig.width, rig.height) is None
     for i in indices:
         known = references(run, capture, lit, i)
         rendered = run.rendering(capture.names[i])
@@ -141,13 +138,13 @@ def _results_of(
         codes = {kind: np.round(np.clip(image, 0, 1) * 255).astype(np.uint8) for kind, image in pictures.items()}
         for kind, picture in codes.items():
             write_png(place / PREDICTIONS / kind / f"{capture.names[i]}.png", picture)
-        for name, value in scores(codes["color"], codes["gt-color"], lpips).items():
+        for name, value in scores(codes["color"], codes["gt-color"], perceptual).items():
             found.setdefault(name, []).append(value)
     return found
 
 
-def scores(picture: np.ndarray, truth: np.ndarray, lpips: PerceptualDistance | None) -> dict[str, float]:
-    """Scores of 8-bit pictures [h,w,3]."""
+def scores(picture: np.ndarray, truth: np.ndarray, perceptual: bool) -> dict[str, float]:
+    """Scores of 8-bit pictures [h,w,3]; `perceptual`: LPIPS too."""
     a, b = (codes.astype(np.float32) / np.float32(255) for codes in (picture, truth))
     error = a.astype(np.float64) - b
     found = {
@@ -156,7 +153,7 @@ def scores(picture: np.ndarray, truth: np.ndarray, lpips: PerceptualDistance | N
         "mae": float(np.abs(error).mean()),
         "mse": float((error**2).mean()),
     }
-    return found if lpips is None else {**found, "lpips": lpips(a, b)}
+    return {**found, "lpips": lpips(a, b)} if perceptual else found
 
 
 def _record(

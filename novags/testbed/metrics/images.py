@@ -4,39 +4,33 @@ Images are float [h,w,3], sRGB-encoded. Renders may overshoot 0..1 a little. `im
 image as it is; for all other scores, and after the affine fit, it is clipped to 0..1, as a display would.
 """
 
-from collections.abc import Callable, Sequence
-from typing import Any, TypedDict, TypeVar
+from collections.abc import Callable, Collection, Sequence
+from functools import partial
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from novags.numbers import SSIM_WINDOW
-from novags.testbed.metrics.perceptual import PerceptualDistance
+from novags.testbed.metrics import METRICS
+from novags.testbed.metrics.metric import Metric
 from novags.testbed.metrics.picture import Image
 from novags.testbed.metrics.tone import affine_aligned, check_pair, tone_aligned, with_contrast
+from sensor_model.files.outside import once
+from sensor_model.files.reading import brief
 
 PSNR_CEILING = 100.0  # dB; two identical images have no finite PSNR, and JSON has no infinity
 
 Scores = TypeVar("Scores")  # a TypedDict of numbers or None
 
 
-class ImageScores(TypedDict):
-    """Scores of one image against one reference.
+ImageScores = dict[str, float | None]
+"""Scores of one image against one reference, by the names of `METRICS`.
 
-    `lpips` is None where its weights are not on the machine. The aligned scores are taken over the channels in which
-    the reference has contrast (`with_contrast`), and are None where no channel has any.
-    """
-
-    psnr: float
-    aligned_psnr: float | None
-    tone_aligned_psnr: float | None
-    ssim: float
-    aligned_ssim: float | None
-    tone_aligned_ssim: float | None
-    flip: float
-    delta_e: float
-    lpips: float | None
+A score by a network is None where it was not asked for. The aligned scores are taken over the channels in which the
+reference has contrast (`with_contrast`), and are None where no channel has any.
+"""
 
 
 def psnr(image: Image, reference: Image) -> float:
@@ -108,31 +102,59 @@ def delta_e(image: Image, reference: Image) -> float:
     return float(deltaE_ciede2000(*lab).mean())
 
 
-def image_scores(image: Image, reference: Image, lpips: PerceptualDistance | None = None) -> ImageScores:
+ALIGNED_PSNR = Metric(
+    heading="PSNR aligned", score=_psnr, more=True, unit="dB", digits=2, aligned="affine", in_studies=False
+)
+TONE_ALIGNED_PSNR = Metric(heading="PSNR tone-aligned", score=_psnr, more=True, unit="dB", digits=2, aligned="tone")
+PSNR = Metric(heading="PSNR", score=psnr, more=True, unit="dB", digits=2)
+ALIGNED_SSIM = Metric(heading="SSIM aligned", score=_ssim, more=True, aligned="affine", in_studies=False)
+TONE_ALIGNED_SSIM = Metric(heading="SSIM tone-aligned", score=_ssim, more=True, aligned="tone", in_studies=False)
+SSIM = Metric(heading="SSIM", score=ssim, more=True)
+FLIP = Metric(heading="FLIP", score=flip, more=False)
+DELTA_E = Metric(heading="ΔE2000", score=delta_e, more=False, digits=2, in_studies=False)
+
+
+def image_scores(image: Image, reference: Image, networks: Collection[str] = ()) -> ImageScores:
     """All scores of one image against one reference in 0..1.
+
+    Args:
+        image: What was rendered; it may overshoot 0..1.
+        reference: The truth.
+        networks: Which of the scores by networks to compute; the others are None.
 
     Raises:
         ValueError: If the shapes differ, a value is not finite, or the images are smaller than the window of SSIM.
     """
-    aligned = affine_aligned(image, reference)
-    toned = tone_aligned(image, reference)
-    contrast = with_contrast(reference)
-    clipped = np.clip(image, 0.0, 1.0)
-    return {
-        "psnr": psnr(clipped, reference),
-        "aligned_psnr": _over(contrast, _psnr, aligned, reference),
-        "tone_aligned_psnr": _over(contrast, _psnr, toned, reference),
-        "ssim": ssim(clipped, reference),
-        "aligned_ssim": _over(contrast, _ssim, aligned, reference),
-        "tone_aligned_ssim": _over(contrast, _ssim, toned, reference),
-        "flip": flip(clipped, reference),
-        "delta_e": delta_e(clipped, reference),
-        "lpips": None if lpips is None else lpips(clipped, reference),
+    pictures = {
+        "none": np.clip(image, 0.0, 1.0),
+        "affine": affine_aligned(image, reference),
+        "tone": tone_aligned(image, reference),
     }
+    contrast = with_contrast(reference)
+    found: ImageScores = {}
+    for name, metric in METRICS.items():
+        asked = metric.missing is None or name in networks
+        channels = np.ones(3, bool) if metric.aligned == "none" else contrast
+        score = metric.score if METRICS.origin_of(name) is None else partial(_of_others, name)
+        found[name] = _over(channels, score, pictures[metric.aligned], reference) if asked else None
+    return found
+
+
+def _of_others(name: str, image: Image, reference: Image) -> float | None:
+    """A score from outside; None where it fails, with a warning that names it: all other scores are kept."""
+    try:
+        found = float(METRICS[name].score(image, reference))
+        if np.isfinite(found):
+            return found
+        why = f"it gave {found}"
+    except Exception as error:  # a stranger's function may raise anything
+        why = f"{type(error).__name__}: {brief(error, 200)}"
+    once(f"the score {name} of {METRICS.origin_of(name)} cannot be computed ({why}); all other scores are")
+    return None
 
 
 def _over(
-    channels: NDArray[np.bool_], score: Callable[[Image, Image], float], image: Image, reference: Image
+    channels: NDArray[np.bool_], score: Callable[[Image, Image], float | None], image: Image, reference: Image
 ) -> float | None:
     """The score over the selected channels; None if no channel is selected."""
     if channels.all():

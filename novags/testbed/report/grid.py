@@ -4,7 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from novags.testbed.report.tables import measured, ranks, spread_of
+from novags.testbed.metrics import METRICS
+from novags.testbed.report.tables import is_plain, measured, ranks, spread_of
 from novags.testbed.report.words import join
 from novags.testbed.study.cells.grid import spelled
 from novags.testbed.study.light import METHOD, SEED
@@ -12,13 +13,8 @@ from novags.testbed.study.light import METHOD, SEED
 Row = Mapping[str, Any]
 CAPTURE = "capture"  # the axis of runs that no study made
 # column of the study's table, heading, unit, whether more is better, digits
-COLUMNS = (
-    ("enhanced.aligned_psnr", "PSNR aligned, noise-free", "dB", True, 2),
-    ("lit.tone_aligned_psnr", "PSNR tone-aligned, lit", "dB", True, 2),
-    ("lit.psnr", "PSNR, lit", "dB", True, 2),
-    ("lit.ssim", "SSIM, lit", "", True, 3),
-    ("lit.lpips", "LPIPS, lit", "", False, 3),
-    ("lit.flip", "FLIP, lit", "", False, 3),
+_FIRST = (("enhanced.aligned_psnr", "PSNR aligned, noise-free", "dB", True, 2),)
+_REST = (
     ("linear.linear_psnr", "PSNR linear", "dB", True, 2),
     ("enhanced.flip", "FLIP, noise-free", "", False, 3),
     ("over.enhanced", "Over the floor", "dB", True, 2),
@@ -35,8 +31,20 @@ MAIN = ("enhanced.aligned_psnr", "lit.tone_aligned_psnr")  # of which one decide
 SILENT = ("over.enhanced", "over.lit", "recovered", "recovered_lit", "seconds.reconstruct", "peak_bytes")
 OWN = ("enhanced.flip", "enhanced.aligned_psnr", "over.enhanced", "recovered")  # compare with a method's own reference
 LINEAR = "linear"  # begins the columns that methods have which end in linear light; of photographs they hold no value
-HELPED = ("lit.psnr", "lit.ssim", "lit.lpips", "lit.flip")  # by the truth, which decides their exposure
 SCALES = {"peak_bytes": 1e-6}
+
+
+def columns() -> tuple[tuple[str, str, str, bool, int], ...]:
+    """The columns, with those of the scores of pictures against the well-lit ones."""
+    lit = ((f"lit.{name}", f"{metric.heading}, lit", metric.unit, metric.more, metric.digits)
+           for name, metric in METRICS.items() if metric.in_studies)  # fmt: skip
+    return (*_FIRST, *lit, *_REST)
+
+
+def is_helped(column: str) -> bool:
+    """Whether the truth helps a score of linear light, because it decides the exposure and nothing is aligned."""
+    reference, _, name = column.partition(".")
+    return reference == "lit" and is_plain(name)
 
 
 @dataclass
@@ -80,7 +88,7 @@ def lines_of(
         key = (*map(str, place.values()), row[METHOD])
         groups.setdefault(key, Line(place, str(row[METHOD]), [])).runs.append(row)
     for line in groups.values():
-        for column, *_ in COLUMNS:
+        for column, *_ in columns():
             values = [value for row in line.runs if (value := _value(row, column)) is not None]
             if values:
                 over = spread_of(values, True)
@@ -91,10 +99,10 @@ def lines_of(
         alike = len({(enhancements or {}).get(number) for number in numbers} - {None}) <= 1
         for line in members:
             line.alike = alike
-        for column, _, _, more, _ in COLUMNS:
+        for column, _, _, more, _ in columns():
             known = {line.method: line.spread[column][0] for line in members
                      if column in line.spread and competes[line.method] and (alike or column not in OWN)
-                     and not (column in HELPED and line.in_linear_light)}  # fmt: skip
+                     and not (is_helped(column) and line.in_linear_light)}  # fmt: skip
             for name, rank in ranks(known, more).items():
                 next(line for line in members if line.method == name).places[column] = rank
         found += sorted(members, key=_main)
@@ -111,7 +119,7 @@ def by_place(lines: Sequence[Line]) -> dict[tuple[str, ...], list[Line]]:
 
 def shown_columns(lines: Sequence[Line]) -> list[tuple[str, str, str, bool, int]]:
     """The columns that have a value."""
-    return [column for column in COLUMNS if any(column[0] in line.spread for line in lines)]
+    return [column for column in columns() if any(column[0] in line.spread for line in lines)]
 
 
 def main_column(lines: Sequence[Line]) -> str | None:
@@ -127,7 +135,7 @@ def verdict(lines: Sequence[Line], competes: Mapping[str, bool]) -> str:
         return "No score is known of all runs, so no method comes first."
     if not any(competes[line.method] for line in lines):
         return "Only methods that see truth were run."
-    headings = {column: heading for column, heading, *_ in COLUMNS}
+    headings = {column: heading for column, heading, *_ in columns()}
     found = first_places(lines, main)
     if not found:
         return f"Nowhere do two methods that see no truth compete by {headings[main]}, so none comes first."
@@ -141,7 +149,7 @@ def verdict(lines: Sequence[Line], competes: Mapping[str, bool]) -> str:
 def _dissent(lines: Sequence[Line], main: str, best: str) -> str:
     """By which other scores another method comes first; those in which the best takes no place say nothing of it."""
     apart: dict[str, list[str]] = {}
-    for column, heading, *_ in COLUMNS:
+    for column, heading, *_ in columns():
         placed = any(column in line.places for line in lines if line.method == best)
         found = first_places(lines, column) if placed and column not in (main, *SILENT) else {}
         winner = next(iter(found), best)

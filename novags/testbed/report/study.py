@@ -13,7 +13,7 @@ from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.folders.run import Run, open_run
 from novags.testbed.folders.runs import STUDY, TABLE
 from novags.testbed.folders.set import Source
-from novags.testbed.report.grid import COLUMNS, Line, by_place
+from novags.testbed.report.grid import Line, by_place, columns
 from novags.testbed.report.material import Made, Material, made_of
 from novags.testbed.report.place import Place
 from novags.testbed.report.rows import looks_of
@@ -68,7 +68,7 @@ def read_rows(path: Path) -> tuple[list[dict[str, Any]], dict[str, list[Any]]]:
     results = read_record(path, RESULTS, AGAIN)
     if METHOD not in results["axes"]:
         raise ValueError(f"{path.parent} is the work on a data set, which has no runs to report on: see its README.md")
-    scores = {column for column, *_ in COLUMNS} | {measure.column for measure in MEASURES}
+    scores = {column for column, *_ in columns()} | {measure.column for measure in MEASURES}
     row = {**ROW, **dict.fromkeys(results["axes"], VALUE), **{f"{column}?": shapes.MEASURED for column in scores}}
     check_shape(results["rows"], [row], f"{path}: rows", AGAIN)
     return results["rows"], results["axes"]

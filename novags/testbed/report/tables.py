@@ -5,27 +5,15 @@ import statistics
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from novags.testbed.metrics import METRICS
 from sensor_model.files.reading import brief
 
 # key, heading, unit, whether more is better; the first is the main score
-_ENHANCED = (
-    ("aligned_psnr", "PSNR aligned", "dB", True),
-    ("tone_aligned_psnr", "PSNR tone-aligned", "dB", True),
-    ("psnr", "PSNR", "dB", True),
-    ("aligned_ssim", "SSIM aligned", "", True),
-    ("tone_aligned_ssim", "SSIM tone-aligned", "", True),
-    ("ssim", "SSIM", "", True),
-    ("flip", "FLIP", "", False),
-    ("delta_e", "ΔE2000", "", False),
-    ("lpips", "LPIPS", "", False),
-)
 _LINEAR = (("linear_psnr", "PSNR linear", "dB", True),)
-COLUMNS = {
-    "enhanced": _ENHANCED,
-    "enhanced_demosaiced": _ENHANCED,
+_FIRST = {"enhanced": "aligned_psnr", "enhanced_demosaiced": "aligned_psnr", "lit": "tone_aligned_psnr"}
+_FIXED = {
     "linear": _LINEAR,
     "linear_demosaiced": _LINEAR,
-    "lit": (_ENHANCED[1], _ENHANCED[0], *_ENHANCED[2:]),
     "geometry": (
         ("abs_rel", "relative error", "", False),
         ("within_5_percent", "within 5 %", "", True),
@@ -40,11 +28,24 @@ COLUMNS = {
         ("bias_floor", "bias floor", "dB", True),
     ),
 }
-PLAIN = ("psnr", "ssim", "flip", "delta_e", "lpips")  # no help of the truth, but the exposure of linear light
+KINDS = ("enhanced", "enhanced_demosaiced", "linear", "linear_demosaiced", "lit", "geometry", "noise")
 OWN = ("enhanced", "enhanced_demosaiced")  # references that every enhancement has its own of
 GIVEN = ("known", "bias_floor")  # of these: facts of the enhanced pictures, by which no method is better
 
 Columns = tuple[tuple[str, str, str, bool], ...]
+
+
+def columns(kind: str) -> Columns:
+    """The columns of the table of scores against a reference, or of "geometry" or "noise"."""
+    if kind in _FIXED:
+        return _FIXED[kind]
+    listed = [(name, metric.heading, metric.unit, metric.more) for name, metric in METRICS.items()]
+    return tuple(sorted(listed, key=lambda column: column[0] != _FIRST[kind]))
+
+
+def is_plain(key: str) -> bool:
+    """Whether nothing is aligned before a score of pictures: of linear light the truth decides the exposure alone."""
+    return key in METRICS and METRICS[key].aligned == "none"
 
 
 def scores_of(metrics: Mapping[str, Any], kind: str) -> dict[str, Mapping[str, Any]]:
@@ -57,7 +58,7 @@ def scores_of(metrics: Mapping[str, Any], kind: str) -> dict[str, Mapping[str, A
 
 
 def ranked(
-    values: Mapping[str, Mapping[str, Any]], columns: Columns, competes: Mapping[str, bool],
+    values: Mapping[str, Mapping[str, Any]], shown: Columns, competes: Mapping[str, bool],
     placed: Callable[[str, str], bool] = lambda name, key: True,
 ) -> list[dict[str, Any]]:  # fmt: skip
     """Rows of cells, of values by row and column, in the order of the first column, with the rank in each.
@@ -66,17 +67,17 @@ def ranked(
     have no rank. `placed`: (row, column) -> whether its value can be compared with those of the other rows.
     """
     places, rows = {}, []
-    for key, _, _, more in columns:
+    for key, _, _, more in shown:
         known = {name: found for name, row in values.items() if (found := measured(row.get(key))) is not None}
         places[key] = ranks(
             {name: value for name, value in known.items() if competes[name] and placed(name, key)}, more
         )
     for name, row in values.items():
-        ranked = {key: places[key].get(name) for key, *_ in columns}
+        ranked = {key: places[key].get(name) for key, *_ in shown}
         cells = [{"key": key, "value": row.get(key), "rank": rank, "best": rank == 1 and len(places[key]) > 1}
                  for key, rank in ranked.items()]  # fmt: skip
         rows.append({"method": name, "competes": competes[name], "cells": cells})
-    key, _, _, more = columns[0]
+    key, _, _, more = shown[0]
     return sorted(rows, key=lambda row: _order(measured(values[row["method"]].get(key)), more))
 
 
@@ -114,13 +115,13 @@ def per_view(metrics: Mapping[str, Any], kind: str) -> dict[str, Any] | None:
     methods = [name for name, m in metrics["methods"].items() if m["mean"].get(kind)]
     views = list(dict.fromkeys(view for name in methods for view in metrics["methods"][name]["views"]))
     scores = {}
-    for key, heading, unit, more in COLUMNS[kind]:
+    for key, heading, unit, more in columns(kind):
         values = [[(metrics["methods"][name]["views"].get(view, {}).get(kind) or {}).get(key) for name in methods]
                   for view in views]  # fmt: skip
         if any(value is not None for row in values for value in row):
-            columns = [[found for row in values if (found := measured(row[m])) is not None]
-                       for m in range(len(methods))]  # fmt: skip
-            spreads = [spread_of(column, more) for column in columns]
+            by_method = [[found for row in values if (found := measured(row[m])) is not None]
+                         for m in range(len(methods))]  # fmt: skip
+            spreads = [spread_of(column, more) for column in by_method]
             scores[key] = {"heading": heading, "unit": unit, "more": more, "digits": digits(key), "values": values,
                            "spread": {what: [found[what] for found in spreads] for what in spreads[0]}}  # fmt: skip
     return {"views": views, "methods": methods, "scores": scores} if scores else None
@@ -138,4 +139,4 @@ def spread_of(values: list[float], more: bool) -> dict[str, float | None]:
 
 def digits(key: str) -> int:
     """Digits after the point in which a score is shown."""
-    return 2 if "psnr" in key or key in ("delta_e", "bias_floor") else 3
+    return METRICS[key].digits if key in METRICS else 2 if "psnr" in key or key == "bias_floor" else 3

@@ -3,7 +3,7 @@
 from typing import Any
 
 from novags.testbed.report.place import Place
-from novags.testbed.report.tables import COLUMNS, GIVEN, OWN, PLAIN, measured, ranked, scores_of
+from novags.testbed.report.tables import GIVEN, OWN, columns, is_plain, measured, ranked, scores_of
 from novags.testbed.report.words import duration, join, signed
 
 AGAINST = {
@@ -38,12 +38,12 @@ def table_of(place: Place, kind: str) -> list[dict[str, Any]]:
 
     def placed(name: str, key: str) -> bool:
         if kind == "lit":
-            return key not in PLAIN or name not in place.exposures
+            return not is_plain(key) or name not in place.exposures
         own = kind in OWN or key == "consistency" or kind == "noise"
         return key not in GIVEN and (place.one_reference or not own)
 
     competes = {name: row.competes for name, row in place.rows.items()}
-    return ranked(scores_of(place.metrics, kind), COLUMNS[kind], competes, placed)
+    return ranked(scores_of(place.metrics, kind), columns(kind), competes, placed)
 
 
 def _values(place: Place) -> dict[str, float | None]:
@@ -110,7 +110,7 @@ def _dissent(place: Place, kind: str, main_score: str, best: str) -> str:
     first: dict[tuple[str, str], list[str]] = {}
     for against in sorted(AGAINST, key=lambda other: other != kind):
         where, rows = "" if against == kind else f" against {AGAINST[against]}", table_of(place, against)
-        for key, heading, *_ in COLUMNS[against]:
+        for key, heading, *_ in columns(against):
             ranks = {row["method"]: cell["rank"] for row in rows for cell in row["cells"] if cell["key"] == key}
             marked = [name for name, rank in ranks.items() if rank == 1]
             if (where, key) != ("", main_score) and ranks.get(best) is not None and best not in marked:

@@ -11,7 +11,7 @@ from novags.testbed.folders import capture as captures
 from novags.testbed.folders import run as runs
 from novags.testbed.folders.set import for_photographs
 from novags.testbed.ledger.code import code_of
-from novags.testbed.metrics.perceptual import PerceptualDistance
+from novags.testbed.metrics import missing, modules
 from novags.testbed.stages.command import run_command
 from novags.testbed.stages.configs.command import CommandConfig
 from novags.testbed.stages.configs.importing import ImportConfig
@@ -75,8 +75,8 @@ def depends(task: Task) -> dict[str, Any]:
     if task.kind != "run":
         return {}
     return {
-        "lpips": PerceptualDistance.missing() is None,
-        "scores": code_of("novags.testbed.stages.scores.scoring", *for_photographs()).key,
+        "unavailable": sorted(missing()),
+        "scores": code_of("novags.testbed.stages.scores.scoring", *modules(), *for_photographs()).key,
     }
 
 

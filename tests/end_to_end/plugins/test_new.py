@@ -16,7 +16,7 @@ from novags.testbed.study.cells.grid import read_study
 
 DOCS = Path(__file__).resolve().parents[3] / "docs"
 PAGES = {"method": "adding-a-method", "enhancer": "adding-an-enhancer", "camera": "adding-a-camera-source",
-         "scene": "adding-a-scene"}  # fmt: skip
+         "scene": "adding-a-scene", "metric": "own-metric"}  # fmt: skip
 TINY = ("--views", "9", "--width", "24", "--height", "24", "--spp", "4", "--points", "60", "--iterations", "5")
 
 
@@ -25,7 +25,7 @@ def test_the_file_is_the_one_of_its_page_with_a_line_that_makes_it_a_plugin(kind
     page = (DOCS / f"{PAGES[kind]}.md").read_text(encoding="utf-8")
     code = re.findall(r"```python\n(.*?)```", page, flags=re.S)[0]
     assert re.fullmatch(re.escape(code) + r"\nPLUGIN = \{.*\}\n", template(kind))
-    assert f"novags new {kind} " in page
+    assert f"`novags new {kind} " in page
 
 
 def test_every_kind_has_a_file_and_says_how_it_is_tried() -> None:
@@ -48,6 +48,11 @@ def test_files_of_all_kinds_work_together(tmp_path: Path) -> None:
                           ("my-enhancer-gs", {"my-enhancer.py", "my-camera.py"})):  # fmt: skip
         versions = json.loads((tmp_path / "out" / method / "run.json").read_text())["stage"]["versions"]
         assert {name for name in versions if name.endswith(".py")} == files
+    scored = json.loads((tmp_path / "out" / "my-method" / "metrics.json").read_text())
+    assert scored["stage"]["versions"]["my-metric.py"]
+    assert 0 < scored["methods"]["my-method"]["mean"]["lit"]["my-metric"] < 1
+    assert "lit.my-metric" in (tmp_path / "out" / "results.csv").read_text().splitlines()[0]
+    assert ">MAE<" in (tmp_path / "out" / "report.html").read_text()
     assert len(read_study(tmp_path / "my-study.toml").cells) == 18
 
 

@@ -121,7 +121,7 @@ def test_a_view_without_any_depth_is_named_where_depth_is_wanted(dark: DarkCaptu
 
 
 def test_a_bound_on_what_there_is_not_is_a_mistake_of_the_test(dark: DarkCapture) -> None:
-    with pytest.raises(ValueError, match="unknown score 'psnrr' against lit: choose one of psnr"):
+    with pytest.raises(ValueError, match="unknown score 'psnrr' against lit: choose one of aligned_psnr"):
         assert_scores(dark.test, dark.test.lit, psnrr=3)
     with pytest.raises(ValueError, match="the bound of psnr must be a number, got '20'"):
         assert_scores(dark.test, dark.test.lit, psnr="20")  # type: ignore[arg-type]

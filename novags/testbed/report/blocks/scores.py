@@ -9,7 +9,7 @@ from novags.testbed.report.grid import SCALES, Line, main_column, shown_columns
 from novags.testbed.report.material import Material
 from novags.testbed.report.parts import Cell, Column, Page, Table, TableRow, num, text
 from novags.testbed.report.place import MAIN, Place
-from novags.testbed.report.tables import COLUMNS, digits, per_view
+from novags.testbed.report.tables import KINDS, columns, digits, per_view
 from novags.testbed.report.verdict import table_of
 from novags.testbed.report.words import named, number, share, signed
 from novags.testbed.stages.scores.scoring import bounds_of
@@ -26,7 +26,7 @@ SPREAD = {"mean": "Mean", "sd": "Standard deviation", "worst": "Worst view", "be
 THERE = "Place among the methods that are compared with each other, by the column that the table is sorted by"
 RANK = Column("#", kind="rank", attributes={"title": THERE})
 More = tuple[Column, Mapping[str, float], Callable[[float], str]]  # values by run, and how they are shown
-Grid = Sequence[tuple[str, str, str, bool, int]]  # columns as in COLUMNS of `grid`
+Grid = Sequence[tuple[str, str, str, bool, int]]  # as `columns` of `grid`
 
 
 def scores(material: Material, page: Page) -> dict[str, Any]:
@@ -38,9 +38,9 @@ def _of_one(material: Material, place: Place, page: Page) -> dict[str, Any]:
     metrics = place.metrics
     commands = {made.name: material.commands[number] for number, made in material.made.items()}
     recovered = {"enhanced": metrics["recovered"], "lit": metrics["recovered_lit"]}
-    views = {kind: per_view(metrics, kind) for kind in COLUMNS if kind not in LABELS}
+    views = {kind: per_view(metrics, kind) for kind in KINDS if kind not in LABELS}
     tables = {}
-    for kind in COLUMNS:
+    for kind in KINDS:
         over, base = place.deltas(kind) if kind in MAIN else ({}, "")
         more = [(Column(f"Over {base}", "dB", "num"), over, signed)] if over else []
         more += [(Column("Recovered", kind="num"), recovered[kind], share)] if recovered.get(kind) else []
@@ -63,8 +63,8 @@ def ranked_table(
 ) -> Table | None:
     """The runs of a place, best first, and what stands behind the scores; None where none is scored so."""
     rows, shown = list[TableRow](), [RANK, Column("Method")]
-    for key, heading, unit, better in COLUMNS[kind]:
-        first = {"data-sorted": "descending" if better else "ascending"} if key == COLUMNS[kind][0][0] else {}
+    for key, heading, unit, better in columns(kind):
+        first = {"data-sorted": "descending" if better else "ascending"} if key == columns(kind)[0][0] else {}
         shown.append(Column(heading, unit, "num", better, first))
     for row in table_of(place, kind):
         name, rank = row["method"], row["cells"][0]["rank"] or ("" if row["competes"] else "†")

@@ -1,6 +1,6 @@
 """Scores of pictures from anywhere: held-out views of a set or a capture, against a reference that is chosen."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -17,10 +17,10 @@ from novags.testbed.folders.references import LINEAR, true_depth
 from novags.testbed.folders.set import Source, open_source
 from novags.testbed.importing.pictures import Picture, find_renders, read_picture
 from novags.testbed.ledger.dry import NOT_DONE, planned
+from novags.testbed.metrics import missing, networks
 from novags.testbed.metrics.geometry import geometry_scores
 from novags.testbed.metrics.images import image_scores, mean_scores
 from novags.testbed.metrics.linear import exposure_gain, is_black, linear_psnr
-from novags.testbed.metrics.perceptual import PerceptualDistance
 from novags.testbed.metrics.picture import Image
 from sensor_model.files.lock import dry
 
@@ -145,12 +145,12 @@ def score_renders(
         console.note(f"score: {len(truth.names)} test views of {folder} to be scored against {reference} {NOT_DONE}")
     planned(console, "score", [] if out is None else [out])
     gain = _gain(read, pictures) if reference in LINEAR else None
-    missing = PerceptualDistance.missing(width, height)
-    lpips = None if missing is not None or reference in LINEAR else PerceptualDistance()
+    lacking = missing(width, height)
+    asked = set[str]() if reference in LINEAR else networks() - lacking.keys()
     views, depths = {}, []
     with console.progress(f"score {folder.name}") as progress:
         for done, (i, name, picture) in enumerate(pictures()):
-            views[name] = _view(picture, read(i), gain, lpips)
+            views[name] = _view(picture, read(i), gain, asked)
             if picture.depth is not None and (known := true_depth(truth.lit, i)) is not None:
                 depths.append(geometry_scores(np.maximum(picture.depth, 0.0), picture.alpha, known))
             progress(done + 1, len(truth.indices), f"view {name}")
@@ -167,10 +167,10 @@ def _gain(read: Callable[[int], Image], pictures: Callable[[], Any]) -> float:
     return exposure_gain(pairs)
 
 
-def _view(picture: Picture, truth: Image, gain: float | None, lpips: PerceptualDistance | None) -> dict[str, Any]:
+def _view(picture: Picture, truth: Image, gain: float | None, asked: Collection[str]) -> dict[str, Any]:
     """Scores of one view; in linear light also those of the pictures that both would be shown as."""
     if gain is None:
-        return dict(image_scores(picture.values, truth, lpips))
+        return dict(image_scores(picture.values, truth, asked))
     light = picture.linear * np.float32(gain)
     found = None if is_black(truth) else linear_psnr(picture.linear, truth, gain)
-    return {"linear_psnr": found, **image_scores(encode(light), encode(truth), None)}
+    return {"linear_psnr": found, **image_scores(encode(light), encode(truth))}

@@ -1,6 +1,6 @@
 """Scores of one run against the truth: held-out views in 3D, training pictures in 2D, depth, cameras, consistency."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +17,11 @@ from novags.testbed.folders.run import METRICS, Run, open_run
 from novags.testbed.folders.set import Source
 from novags.testbed.ledger.code import Code, code_of
 from novags.testbed.ledger.stage import run_stage
+from novags.testbed.metrics import missing, modules, networks
 from novags.testbed.metrics.consistency import ConsistencyScores, consistency_scores
 from novags.testbed.metrics.geometry import geometry_scores
 from novags.testbed.metrics.images import aligned_psnr, gaussian_blur, image_scores, mean_scores, psnr
 from novags.testbed.metrics.linear import is_black, linear_psnr
-from novags.testbed.metrics.perceptual import PerceptualDistance
 from novags.testbed.metrics.picture import Image
 from novags.testbed.stages.scores.noise import noise_scores
 from sensor_model.files.lock import locked
@@ -46,15 +46,14 @@ def score(run_path: Path, console: Console) -> dict[str, Any]:
 def _score(run_path: Path, console: Console) -> dict[str, Any]:
     run = open_run(run_path)
     captured, lit = run.inputs(console)
-    missing = PerceptualDistance.missing(captured.cameras.rig.width, captured.cameras.rig.height)
+    lacking = missing(captured.cameras.rig.width, captured.cameras.rig.height)
 
     def inputs() -> dict[str, str]:
         return {"run": run.digest(), "capture": captured.digest(), "set": lit.digest()}
 
     def work(_: None) -> dict[str, Any]:
-        lpips = PerceptualDistance() if missing is None else None
         with console.progress(f"score {run.name}") as progress:
-            scores = score_test_views(run, captured, lit, lpips, progress)
+            scores = score_test_views(run, captured, lit, networks() - lacking.keys(), progress)
         method = {
             **scores,
             "training_2d": score_training_images(run, captured, lit),
@@ -63,7 +62,7 @@ def _score(run_path: Path, console: Console) -> dict[str, Any]:
             "seconds": stage_seconds(run, captured, lit),
             "peak_bytes": run.peak_bytes,
         }
-        unavailable = {} if missing is None else {"lpips": missing}
+        unavailable = dict(lacking)
         if scores["geometry"] is None:
             unavailable["geometry"] = (
                 "the true depth is not known: photographs, or a set scaled down for the capture"
@@ -77,7 +76,7 @@ def _score(run_path: Path, console: Console) -> dict[str, Any]:
     return run_stage(
         "score", run_path, METRICS, code=code_of_scores(run, lit), inputs=inputs,
         opened={"run": run.digest(), "capture": captured.content, "set": lit.content},
-        config={"lpips": missing is None}, owns=(METRICS,),
+        config={"unavailable": sorted(lacking)}, owns=(METRICS,),
         prepare=lambda: None, work=work, console=console, overwrite=True,  # scores describe what is there now
     )  # fmt: skip
 
@@ -85,13 +84,13 @@ def _score(run_path: Path, console: Console) -> dict[str, Any]:
 def code_of_scores(run: Run, lit: Source) -> Code:
     """What scores a run: the stage, the enhancement that its references go through, and what reads its set."""
     enhancer = None if run.enhancement is None else ENHANCERS.module_of(run.enhancement["enhancer"])
-    return code_of(__name__, enhancer, *lit.modules)
+    return code_of(__name__, enhancer, *modules(), *lit.modules)
 
 
 def score_test_views(
-    run: Run, capture: Capture, lit: Source, lpips: PerceptualDistance | None, progress: Update
+    run: Run, capture: Capture, lit: Source, asked: Collection[str], progress: Update
 ) -> dict[str, Any]:
-    """Scores of every held-out view against each of its references, and their means.
+    """Scores of every held-out view against each of its references, and their means; `asked`: which by networks.
 
     Returns:
         `mean` and `views` hold the image scores by reference (None in `mean` for one that is not known); `geometry`
@@ -110,7 +109,7 @@ def score_test_views(
                 "linear_psnr": None if is_black(reference) or gain is None else linear_psnr(rendered, reference, gain)
             }
             if kind in LINEAR
-            else image_scores(as_compared(rendered, run, capture, kind, exposures), reference, lpips)
+            else image_scores(as_compared(rendered, run, capture, kind, exposures), reference, asked)
             for kind, reference in references(run, capture, lit, i).items()
         }
         if run.has_depth and (truth := true_depth(lit, i)) is not None:

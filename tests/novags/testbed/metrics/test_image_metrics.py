@@ -1,5 +1,7 @@
 """Claims about the image metrics: analytic answers, invariances, and independent references."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -7,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torchmetrics.functional.image import structural_similarity_index_measure
 
+from novags.testbed.metrics import METRICS, perceptual
 from novags.testbed.metrics.images import (
     PSNR_CEILING,
     _ssim,  # of any number of channels
@@ -18,7 +21,6 @@ from novags.testbed.metrics.images import (
     psnr,
     ssim,
 )
-from novags.testbed.metrics.perceptual import PerceptualDistance
 from novags.testbed.metrics.tone import affine_aligned, tone_aligned
 
 
@@ -40,16 +42,17 @@ def test_equal_images_score_the_ceiling() -> None:
     assert scores["lpips"] is None
 
 
-def test_lpips_of_images_too_small_for_its_network_is_refused_and_known_before() -> None:
+def test_lpips_of_images_too_small_for_its_network_is_refused_and_known_before(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """The layers of AlexNet up to its second pooling; weights do not matter."""
-    lpips = PerceptualDistance.__new__(PerceptualDistance)
     layers = (torch.nn.Conv2d(3, 1, 11, 4, 2), torch.nn.MaxPool2d(3, 2), torch.nn.MaxPool2d(3, 2))
     network = torch.nn.Sequential(*layers)
-    lpips._network = lambda a, b: (network(a) - network(b)).abs().mean()
-    assert lpips(picture(size=31), picture(size=31)) == 0.0
+    monkeypatch.setattr(perceptual, "network", lambda: lambda a, b: (network(a) - network(b)).abs().mean())
+    assert perceptual.lpips(picture(size=31), picture(size=31)) == 0.0
     with pytest.raises(ValueError, match="LPIPS needs images of at least 31 x 31 pixels, got 30 x 30"):
-        lpips(picture(size=30), picture(size=30))
-    said = PerceptualDistance.missing(64, 24)
+        perceptual.lpips(picture(size=30), picture(size=30))
+    said = perceptual.missing(64, 24)
     assert said is not None
     assert said.endswith("got 64 x 24")
 
@@ -170,7 +173,7 @@ def test_delta_e_spans_0_to_100_and_clips_what_a_display_would_clip() -> None:
     assert delta_e(black - 0.2, black) == 0.0
 
 
-def test_each_score_is_computed_from_the_picture_it_names() -> None:
+def test_each_score_is_computed_from_the_picture_it_names(monkeypatch: pytest.MonkeyPatch) -> None:
     reference = picture(3)
     # Overshoots 1 and 0, so that clipping before an alignment, or none at all, gives other numbers.
     image = 6.0 * (picture(3) ** 2 + 0.3 * picture(4)) - 2.0
@@ -184,7 +187,9 @@ def test_each_score_is_computed_from_the_picture_it_names() -> None:
         "flip": flip(clipped, reference), "delta_e": delta_e(clipped, reference), "lpips": 0.25,
     }  # fmt: skip
     given: list[np.ndarray] = []
-    scores = image_scores(image, reference, lambda a, b: given.append(a) or 0.25)  # type: ignore[arg-type,func-returns-value]
+    network = replace(METRICS["lpips"], score=lambda a, b: given.append(a) or 0.25)
+    monkeypatch.setitem(METRICS, "lpips", network)
+    scores = image_scores(image, reference, {"lpips"})
     assert scores == pytest.approx(expected)
     assert len(set(scores.values())) == len(scores)
     assert np.array_equal(given[0], clipped)

@@ -28,7 +28,7 @@ from novags.testbed.report.look.album import Album, files_of  # noqa: E402
 from novags.testbed.report.look.maps import colour_map, normal_map, normals_of_depth  # noqa: E402
 from novags.testbed.report.look.probe import probe_of  # noqa: E402
 from novags.testbed.report.page import write_report  # noqa: E402
-from novags.testbed.report.tables import COLUMNS, per_view, ranked, ranks, scores_of  # noqa: E402
+from novags.testbed.report.tables import columns, per_view, ranked, ranks, scores_of  # noqa: E402
 from novags.testbed.report.verdict import table_of  # noqa: E402
 from novags.testbed.stages.configs.capturing import CaptureConfig  # noqa: E402
 from sensor_model import srgb_to_linear  # noqa: E402
@@ -53,7 +53,7 @@ def test_rows_stand_best_first_and_what_sees_truth_takes_no_place() -> None:
     made = metrics(a={"aligned_psnr": 20.0, "flip": 0.1}, b={"aligned_psnr": None, "flip": 0.3},
                    c={"aligned_psnr": "inf", "flip": 0.2}, bound={"aligned_psnr": 30.0, "flip": 0.0})  # fmt: skip
     competes = {"a": True, "b": True, "c": True, "bound": False}
-    found = ranked(scores_of(made, "enhanced"), COLUMNS["enhanced"], competes)
+    found = ranked(scores_of(made, "enhanced"), columns("enhanced"), competes)
     assert [row["method"] for row in found] == ["c", "bound", "a", "b"]
     places = {row["method"]: {cell["key"]: cell["rank"] for cell in row["cells"]} for row in found}
     assert {name: place["aligned_psnr"] for name, place in places.items()} == {"a": 2, "b": None, "c": 1, "bound": None}

@@ -11,7 +11,7 @@ from novags.methods.problem import encode
 from novags.testbed.folders.exposures import Exposures
 from novags.testbed.report.blocks.training import fits, smoothed
 from novags.testbed.report.look.maps import ERROR_CEILING, colour_map, depth_map, error_map
-from novags.testbed.report.tables import COLUMNS, ranked, scores_of
+from novags.testbed.report.tables import columns, ranked, scores_of
 from novags.testbed.report.words import duration, join, number, signed, size
 from novags.testbed.stages.scores import scoring
 from novags.testbed.stages.scores.scoring import recovered_fractions, recovered_shares
@@ -90,7 +90,7 @@ def test_the_best_method_is_marked_and_the_oracle_does_not_compete() -> None:
     values, competes = scores_of(metrics, "enhanced"), {"nova": True, "naive": True, "oracle": False}
     marked = {
         (row["method"], cell["key"])
-        for row in ranked(values, COLUMNS["enhanced"], competes)
+        for row in ranked(values, columns("enhanced"), competes)
         for cell in row["cells"]
         if cell["best"]
     }
@@ -98,7 +98,7 @@ def test_the_best_method_is_marked_and_the_oracle_does_not_compete() -> None:
     assert ("naive", "flip") in marked
     assert not any(name == "oracle" for name, _ in marked)
     assert not any(key == "lpips" for _, key in marked)
-    none = ranked(values, COLUMNS["enhanced"], competes, lambda name, key: False)
+    none = ranked(values, columns("enhanced"), competes, lambda name, key: False)
     assert not any(cell["best"] or cell["rank"] for row in none for cell in row["cells"])
     assert [row["competes"] for row in none] == [False, True, True]  # who is a bound stays known
 

@@ -4,9 +4,9 @@ from types import SimpleNamespace
 from typing import Any
 
 from novags.testbed.report import verdict
-from novags.testbed.report.tables import COLUMNS
+from novags.testbed.report.tables import columns
 
-HEADINGS = {key: heading for key, heading, _, _ in COLUMNS["enhanced"]}
+HEADINGS = {key: heading for key, heading, _, _ in columns("enhanced")}
 
 
 def material(**runs: dict[str, Any]) -> Any:

@@ -105,14 +105,12 @@ def test_a_run_in_linear_light_is_scored_against_each_of_its_references(capture:
         name = capture.names[i]
         assert list(metrics["views"][name]) == ["enhanced", "linear", "lit"]
         truth = references(run, capture, source, i)["enhanced"]
-        want = image_scores(pictured(run, capture, run.rendering(name)), truth, None)
+        want = image_scores(pictured(run, capture, run.rendering(name)), truth)
         assert metrics["views"][name]["enhanced"]["aligned_psnr"] == pytest.approx(want["aligned_psnr"])
         assert metrics["views"][name]["linear"]["linear_psnr"] > 10
         lit = source.lit(i)
         brought = encode(_gain_to_lit(capture, run, source) * run.rendering(name))
-        assert metrics["views"][name]["lit"]["psnr"] == pytest.approx(
-            image_scores(brought, lit, None)["psnr"], abs=1e-3
-        )
+        assert metrics["views"][name]["lit"]["psnr"] == pytest.approx(image_scores(brought, lit)["psnr"], abs=1e-3)
     assert metrics["training_2d"]["enhanced"] is not None
 
 
