@@ -2,6 +2,10 @@
 
 A configuration is a frozen dataclass whose fields are values or further configurations. Values may come as text, from
 the command line or a file: `none`, `true`, `0.5`, `16,32,64`.
+
+Neither msgspec 0.22 nor pydantic 2.14 makes values of such text: of 26 that were tried, 15 come out differently with
+either, `none` and lists by commas as errors, `nan` and 1e300 as numbers. And neither knows dotted names, parts that are
+switched on by naming a setting of theirs, or checks of the outcome alone, of which most of this file is.
 """
 
 import dataclasses

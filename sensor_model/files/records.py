@@ -10,6 +10,12 @@ A shape is
     {"*": shape}                  an object whose entries all have the shape
     [shape]                       a list of any length
     (shape, shape)                any of these
+
+Why no library checks them. msgspec 0.22 and pydantic 2.14 were tried on these shapes. Both read equal keys and numbers
+beyond 2**64 without a word and let 1,000 and 200 levels pass, so that `parse_json` would stay. msgspec names neither
+what stands there nor, in an object of any keys, where: "Expected `str`, got `int` - at `$.c[...]`". pydantic says both,
+and with it `check_shape` passes its tests, but takes 62 lines as it does here, 10 MB, and .4 s of every start. They are
+faster: 72,000 numbers take .1 s, here .4 s.
 """
 
 from __future__ import annotations

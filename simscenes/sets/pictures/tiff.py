@@ -134,7 +134,7 @@ def retagged(file: Path, values: Mapping[int, int]) -> bytes | None:
 
 def _pages(file: Path) -> str:
     """Whether other pictures than smaller copies follow the first one, or it is such a copy itself; "" if not."""
-    sizes = list[float]()
+    sizes: list[int] = []
     with opened(file, most=PICTURE) as source, suppress(struct.error):
         for tags in _directories(source):
             kind, *size = (tags[tag].values[0] if tag in tags else 0 for tag in (KIND, WIDTH, HEIGHT))
