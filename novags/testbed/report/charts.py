@@ -2,8 +2,8 @@
 
 Colours and fonts come from style/chart.css, so that light and dark pages both fit; scripts/plots.js shows the values
 where one points. No JavaScript library draws them instead: pictures beside a page and of `novags pareto` are written
-without a browser, and need all of this. uPlot, tried with the losses, adds 51 kB to each page (plots.js: 3 kB) and wants
-one x for all lines, or gaps between fits are lost. Chart.js adds 210 kB, Observable Plot with d3 490.
+without a browser, and need all of this. uPlot, tried with the losses, adds 51 kB to each page (plots.js: 3 kB) and
+wants one x for all lines, or gaps between fits are lost. Chart.js adds 210 kB, Observable Plot with d3 490.
 """
 
 import json
