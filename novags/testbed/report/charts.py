@@ -23,8 +23,8 @@ LETTER = 11.5  # width of one on telephones, px
 LEGEND, LINE = 205, 22  # width of a legend, and between two of its lines, px
 NAME = 17  # letters of a name that fit into a legend, on telephones, too
 DASHES = 4  # patterns of lines, CSS classes "dash0" to "dash3": colours alone do not tell lines apart for everybody
-DIAMOND, DISC = "m0-5.5l5.5 5.5l-5.5 5.5l-5.5-5.5z", "m-4 0a4 4 0 1 0 8 0a4 4 0 1 0-8 0"
-MARKS = ("m-4-4h8v8h-8z", "m0-5l5 9h-10z", DIAMOND, DISC, "m0 5l5-9h-10z",
+DISC = "m-4 0a4 4 0 1 0 8 0a4 4 0 1 0-8 0"
+MARKS = ("m-4-4h8v8h-8z", "m0-5l5 9h-10z", "m0-5.5l5.5 5.5l-5.5 5.5l-5.5-5.5z", DISC, "m0 5l5-9h-10z",
          "m-5-1.5h3.5v-3.5h3v3.5h3.5v3h-3.5v3.5h-3v-3.5h-3.5z")  # fmt: skip
 STYLE = Path(__file__).parent / "style" / "chart.css"
 PAPER = {"bg": "#fff", "fg": "#1c1d20", "muted": "#5d6067", "line": "#e2e2df", "shown": "currentColor"}

@@ -69,8 +69,8 @@ def losses(series: Mapping[str, Sequence[tuple[float, float]]], keys: Mapping[st
     """Losses, logarithmic, over iterations: points and the CSS class of the colour by run; NaN leaves a gap."""
     drawn = [Series(name, keys[name], [Point(x, y, f"{y:.4g}") for x, y in points], f"dash{place % DASHES}")
              for place, (name, points) in enumerate(series.items())]  # fmt: skip
-    known = [point for each in drawn for point in each.points if point.y > 0]
-    x = Axis("iteration", 0.0, max(point.x for point in known))
+    known = [point for each in drawn for point in each.points if 0 < point.y < math.inf]
+    x = Axis("iteration", 0.0, max(point.x for point in known) or 1.0)
     y = Axis.around("photometric loss", [point.y for point in known], log=True)
     return Chart("Photometric loss over iterations", x, y, drawn).svg()
 

@@ -7,11 +7,12 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
-from novags.testbed.report.charts import DIAMOND, DISC, Axis, Chart, Point, Series, alone
+from novags.testbed.report.charts import DISC, Axis, Chart, Point, Series, alone
 
 WIDTH, HEIGHT = 360, 270  # of a panel
 COLUMNS = 3
 FEW = 3.0  # errors within this factor are drawn on a linear scale, as is an error of 0
+DIAMOND = "m0-7l7 7l-7 7l-7-7z"  # larger than other marks
 COLORS = {"other": "#0072b2", "default": "#d55e00"}
 Measured = Mapping[str, Any]
 

@@ -77,6 +77,7 @@ def test_losses_next_to_nothing_have_an_axis() -> None:
     """Rationale: ticks were rounded to twelve decimals, and the logarithm of the 0 that was left ended the report."""
     svg = losses({"a": [(1, 3e-14), (2, 1e-15)]}, {"a": "m0"})
     assert {"1e-15", "1e-14"} <= set(re.findall(r'class="tick"[^>]*>([^<]*)<', svg))
+    assert len(lines(losses({"a": [(0, 1e-45)]}, {"a": "m0"}))) == 1  # a single one
 
 
 def test_bins_are_steps_between_their_edges() -> None:

@@ -275,11 +275,26 @@ def test_curves_show_their_values_to_pointer_and_keys(visit: Callable[..., Any],
     assert note.locator("strong").text_content() == "2 iteration"
     lines = {text.split()[0]: float(text.split()[1]) for text in note.locator("div").all_text_contents()}
     assert lines == {name: pytest.approx(value / 4, rel=1e-3) for name, value in psnr.items()}
-    box = chart.bounding_box()
+    assert chart.locator(".plot-point").count() == len(psnr)
+    box, rule = chart.bounding_box(), chart.locator(".plot-rule").bounding_box()
+    assert box["height"] / 2 < rule["height"] < box["height"]
     tab.mouse.move(box["x"] + box["width"] * 0.97, box["y"] + 30)
     assert note.locator("strong").text_content() == "5 iteration"
     tab.mouse.move(0, 0)
     assert not note.is_visible()
+
+
+def test_a_line_without_a_point_near_the_pointer_is_not_told(visit: Callable[..., Any], experiment: Path) -> None:
+    tab = visit(experiment / "report.html")
+    chart = tab.locator("section[aria-labelledby=training] svg.chart")
+    told = """(chart, x) => {
+        const lines = [["<a>", 100], ["b", 200], ["c", 106]].map(
+            ([name, x], k) => ({name, key: `m${k}`, points: [[x, 50, "1", "2"]]}));
+        novags.plots.show(chart, {x: "u", top: 34, floor: 200, step: 8, lines: [...lines, {name: "d", points: []}]}, x);
+        return [...chart.nextElementSibling.querySelectorAll("div")].map(row => row.textContent);
+    }"""
+    assert chart.evaluate(told, 90) == ["<a> 2", "c 2"]
+    assert chart.evaluate(told, 190) == ["b 2"]
 
 
 def test_single_views_show_any_score_with_its_spread(visit: Callable[..., Any], experiment: Path, psnr: dict) -> None:

@@ -347,6 +347,10 @@ def test_the_histogram_counts_the_electrons_of_each_filter(captures: dict[str, C
     assert list(lines) == ["red", "green", "blue"]
     shares = np.array([float(point[3].rstrip("%")) / 100 for point in lines["green"]])
     assert shares.sum() == pytest.approx(1, abs=0.01)
+    most = max(float(point[3].rstrip("%")) for line in lines.values() for point in line)
+    beside = [float(text) for text in re.findall(r'text-anchor="end">([^<]*)<', found["chart"])]
+    assert 0.5 * most < max(beside) <= most + 0.01  # numbers of the axis, in percent
+    assert min(point[1] for line in lines.values() for point in line) == plot(found["chart"])["top"]
     centres = np.array([float(point[2]) for point in lines["green"]])
     assert (shares * centres).sum() == pytest.approx(electrons.mean(), rel=0.05)
 

@@ -192,6 +192,17 @@ def test_a_picture_for_each_place_where_places_differ(study: Callable[..., Path]
     assert sorted(path.name for path in folder.glob("*.svg")) == ["light-psnr-scene-a.svg", "light-psnr-scene-b-c.svg"]
 
 
+def test_bars_reach_from_the_worst_to_the_best_seed_and_bounds_are_dashed(study: Callable[..., Path]) -> None:
+    rows = [row(e, m, s, 20 + 4 * s) for e in (1, 2) for m in ("naive", "oracle") for s in (0, 1)]
+    folder = study(rows)
+    page, drawn = write_study(folder).read_text("utf-8"), (folder / "light-psnr.svg").read_text("utf-8")
+    assert escape('"22 (20 to 24)"') in page
+    assert [kind.split()[0] for kind in re.findall(f'{LINE} (.*?)"', drawn)] == ["m0", "bound"]
+    feet = {text: float(y) - 4 for y, text in re.findall(r'y="([\d.]+)" text-anchor="end">([^<]*)<', drawn)}
+    bars = re.findall(r",([\d.]+)V([\d.]+)", "".join(re.findall(r'class="spread [^"]*" d="([^"]*)"', drawn)))
+    assert [(float(low), float(high)) for low, high in bars] == [pytest.approx((feet["20"], feet["24"]), abs=0.11)] * 4
+
+
 def test_places_that_differ_in_capitals_or_umlauts_alone_have_pictures_of_their_own(
     study: Callable[..., Path],
 ) -> None:

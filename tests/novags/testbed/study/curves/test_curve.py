@@ -9,9 +9,9 @@ from xml.etree import ElementTree
 
 import pytest
 
-from novags.testbed.report.charts import DIAMOND, DISC
+from novags.testbed.report.charts import DISC
 from novags.testbed.report.curves import page
-from novags.testbed.report.curves.figure import figure
+from novags.testbed.report.curves.figure import DIAMOND, figure
 from novags.testbed.report.curves.table import said, tables
 from novags.testbed.study.curves.curve import curves, read_curves, write_curves
 from novags.testbed.study.knobs.knob import Knob, Measured, Subject
