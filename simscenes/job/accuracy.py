@@ -41,10 +41,10 @@ def claimed(noise: float, quarters: list[float], made: TransportPlan) -> dict[st
 
 
 def noise_target(target: float, made: TransportPlan) -> float:
-    """The noise at which a view may stop, so that it and what is left out together stay below `target`.
+    """The noise at which a view may stop, so that noise and omitted light together stay below `target`.
 
-    Where what is left out takes more than half of the target's square, samples cannot pay for it: then the target is
-    that of the noise alone.
+    Where the omitted light takes more than half of the target's square, samples cannot pay for it: then the target
+    holds for the noise alone.
     """
     bias = made.bias[0]
     return math.sqrt(target**2 - bias**2) if bias <= SHARED * target else target
@@ -78,6 +78,6 @@ def summary(views: dict[str, dict[str, Any]]) -> str:
     if any(map(math.isnan, errors)):
         dark = max(v["noise_by_brightness"][0] for v in views.values())
         return (
-            f"noise {worst['relative_error']:.2%} (what is left out was not asked), {dark:.2%} in the darkest quarter"
+            f"noise {worst['relative_error']:.2%} (omitted light was not measured), {dark:.2%} in the darkest quarter"
         )
     return f"error {max(errors):.2%} (noise {worst['relative_error']:.2%}), {dark:.2%} in the darkest quarter"

@@ -129,7 +129,7 @@ class Bench:
         return self._references[s.color]
 
     def render(self, s: Setting, i: int, seed: int) -> tuple[Image, float, float]:
-        """One view, its seconds and those of the processors; all sensors and kernels exist before they start."""
+        """One view, its wall and processor seconds; all sensors and kernels exist before the clocks start."""
         with self.ready(s) as (mi, loaded):
             for _ in range(2):  # the first time compiles the kernels
                 draw = self._prepared(mi, loaded, s, i, seed)

@@ -1,7 +1,7 @@
 """The last step of a job: 8-bit images with one exposure for the set, sparse points, cameras.
 
-One view is in memory at a time. Light and depth of each go to disk uncompressed as soon as they are known (16 bytes a
-pixel, until the set is finished), so that no EXR file is decoded again; the exposure needs only the brightest pixels.
+One view is in memory at a time. Light and depth of each go to disk uncompressed at once (16 bytes a pixel, until the
+set is finished), so that no EXR file is decoded again; the exposure needs only the brightest pixels.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class ViewStore:
         self._white = RunningQuantile(BELOW_WHITE, len(rig) * rig.height * rig.width)
 
     def put(self, i: int, channels: dict[str, NDArray[Any]]) -> None:
-        """Keep what is needed of view `i`, once: R, G, B and Z, float32 [h,w]."""
+        """Keep the needed channels of view `i`, once: R, G, B and Z, float32 [h,w]."""
         light = np.stack([channels[c] for c in "RGB"], -1)
         if self.color is not None:
             light = light @ np.linalg.inv(self.color.matrix).T.astype(np.float32)

@@ -71,7 +71,7 @@ def render_set(
 ) -> MultiviewSet:
     """Render a scene into a set folder: radiance with variance, geometry, 8-bit images, cameras, sparse points.
 
-    A folder that already holds the same set is returned as it is; an interrupted render continues with the views that
+    A folder that already holds the same set is returned unchanged; an interrupted render continues with the views that
     are missing.
 
     Args:

@@ -45,7 +45,7 @@ def parameters_in(scene: Any, mi: Any) -> dict[str, Any]:
 
 
 def surfaces_in(scene: Any, mi: Any) -> list[Any]:
-    """The shapes that rays hit: those of the scene, then those of its groups, which its instances repeat.
+    """The shapes that rays hit: first the scene's own, then the shapes of its groups, which its instances repeat.
 
     Instances and groups have materials too, but Mitsuba invents these, and no ray hits them.
     """

@@ -63,7 +63,7 @@ class LoadedScene:
 
     @property
     def own_sensor(self) -> Any:
-        """That of the scene's own sensors that counts; None if it has none."""
+        """The scene's own sensor in use; None if the scene has none."""
         sensors = self.scene.sensors()
         return sensors[self.sensor] if self.sensor < len(sensors) else None
 
@@ -177,7 +177,7 @@ def _own_integrator(source: SceneRef, mi: Any, allow_outside: bool) -> OwnIntegr
 
 
 def _load(source: SceneRef, mi: Any, allow_outside: bool) -> tuple[Any, Any]:
-    """The Mitsuba scene, and what it was made of: files or a dict."""
+    """The Mitsuba scene, and its source: files or a dict."""
     if source.path is not None:
         return _load_xml(source.path, dict(source.parameters), mi, allow_outside)
     return _load_dict(build(source.name) if source.description is None else source.description, mi)
@@ -217,7 +217,7 @@ def set_light_weights(loaded: LoadedScene, weights: tuple[float, ...], mi: Any) 
     """Let the scene pick its lights in proportion to `weights`, one per light; () leaves them alone.
 
     Raises:
-        ValueError: If the number of weights differs from that of the lights.
+        ValueError: If weights and lights differ in number.
     """
     lights = loaded.scene.emitters()
     if weights and len(weights) != len(lights):

@@ -28,7 +28,7 @@ def completed(files: Sequence[Path]) -> Iterator[Path]:
     values that no corner names are dropped. A warning says so.
 
     Args:
-        files: The scene file and those that it names, absolute. OBJ files outside its folder are left alone.
+        files: The scene file and the files it names, absolute. OBJ files outside its folder are left alone.
     """
     scene, root = files[0], files[0].parent
     with TemporaryDirectory(prefix="novags-obj-") as temporary:
@@ -42,7 +42,7 @@ def completed(files: Sequence[Path]) -> Iterator[Path]:
                     _write(folder / scene.name, read_bytes(scene))
                     warnings.warn(
                         f"mesh file {file}: not every corner of its faces names a normal and a texture coordinate, or "
-                        "some are counted from the end; normals that are missing become those of the face, texture "
+                        "some are counted from the end; missing normals become the normal of the face, texture "
                         "coordinates 0",
                         stacklevel=2,
                     )
@@ -60,7 +60,7 @@ def complete(content: bytes) -> bytes:
     if _is_complete(content, has[1], has[2]):
         return content
     lists: dict[bytes, list[bytes]] = {name: [] for name in LISTS}
-    rest: list[list[list[int]] | bytes] = []  # faces by their corners, other lines as they are
+    rest: list[list[list[int]] | bytes] = []  # faces by their corners, other lines unchanged
     for line in content.splitlines():
         words = line.split(b"#", 1)[0].split()
         if words and words[0] in lists:

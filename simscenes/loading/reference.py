@@ -36,7 +36,7 @@ class SceneRef:
 
     @classmethod
     def of(cls, scene: SceneLike | SceneRef) -> SceneRef:
-        """What is meant by a name from `SCENES` ("tabletop:3" for variation 3), a dict, a path or a text in .xml.
+        """The scene behind a name from `SCENES` ("tabletop:3" for variation 3), a dict, a path or a text in .xml.
 
         Raises:
             ValueError: If a name is not in the catalogue, or the scene is neither a name, a dict nor a file. Files

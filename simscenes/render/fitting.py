@@ -1,7 +1,7 @@
-"""Cameras for a scene that comes with one sensor: an arc around what that sensor sees, in the space that is free.
+"""Cameras for a scene that comes with one sensor: an arc around that sensor's target, in the free space.
 
-Rays decide what is free, not a bounding box: a new camera can be reached from the sensor in a straight line, keeps
-clear of surfaces, and sees most of what it should see, which it would not from outside a room.
+Rays find the free space, not a bounding box. A new camera can be reached from the sensor in a straight line, keeps
+clear of surfaces, and sees most of its target, which it would not from outside a room.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from simscenes.scenes import default_rig
 
 Float = NDArray[np.float64]
 CLEARANCE = 0.05  # of the distance to the target: nearer things would fill a new camera's image
-GRID = 48  # rays across the sensor's image that find what it sees
+GRID = 48  # rays across the sensor's image that find its surfaces
 SEEN = 0.8  # of the things near the sensor's centre that each camera must see, and of its image that the sensor sees
-PROBE = 16  # rays across the image of a new camera that find what it shows
-BACKDROP = 2.0  # times the target's distance: what is farther leaves the image as the camera turns about the target
+PROBE = 16  # rays across the image of a new camera that find its surfaces
+BACKDROP = 2.0  # times the target's distance: farther things leave the image as the camera turns about the target
 NARROWINGS = 0.8 ** np.arange(24)  # of the arc, until all of its cameras are free: down to 0.6 %
 
 
@@ -123,7 +123,7 @@ def _seen(loaded: LoadedScene, mi: Any, own: Rig) -> Float:
 
 
 def _middle_distance(distances: Float) -> float:
-    """Median distance, weighted by squared disparity: that of things, not of the sky or the dome behind them.
+    """Median distance, weighted by squared disparity: the distance of things, not of the sky or the dome behind them.
 
     A plain median of a small thing before a far backdrop is the backdrop's distance, and cameras would circle that.
     """

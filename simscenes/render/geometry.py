@@ -108,7 +108,7 @@ def first_surfaces(mi: Any, loaded: LoadedScene, origin: NDArray[Any], direction
     scene, hidden, holes = loaded.scene, hides_lamps(loaded), _materials_with_holes(mi, loaded)
     si = scene.ray_intersect(ray)
     for _ in range(MAX_PASSED):
-        dr.eval(ray, si)  # together: gathering from what is not would compile a kernel for each of its fields
+        dr.eval(ray, si)  # together: gathering from unevaluated arrays would compile a kernel for each field
         bsdf = si.bsdf(ray)
         through = (bsdf.flags() & int(mi.BSDFFlags.All)) == int(mi.BSDFFlags.Null)
         if holes.any():
@@ -186,7 +186,7 @@ def _albedo(mi: Any, ray: Any, si: Any) -> NDArray[np.float64]:
 
 
 def _unpolarized(mi: Any, spectrum: Any) -> Any:
-    """What unpolarised light sees of a Mueller matrix; a spectrum as it is."""
+    """The factor of a Mueller matrix for unpolarised light; a spectrum unchanged."""
     return mi.unpolarized_spectrum(spectrum) if mi.is_polarized else spectrum
 
 

@@ -98,7 +98,7 @@ def _trace(
         return sums.reshape(len(seeds), pixels, 3)
     film, count = sensor.film(), int(more.sum())
     entry = from_numpy(mi.UInt32, np.repeat(np.arange(len(more), dtype=np.uint32), more))
-    # Number in the sequence minus that of the lane: it may wrap around below zero, and their sum then wraps back.
+    # Number in the sequence minus number of the lane: it may wrap around below zero, and their sum then wraps back.
     offset = dr.gather(mi.UInt32, mi.UInt32((first - begins).astype(np.uint32)), entry)
     sequence = entry // dr.opaque(mi.UInt32, pixels)
     pixel = entry - sequence * dr.opaque(mi.UInt32, pixels) + dr.opaque(mi.UInt32, start)

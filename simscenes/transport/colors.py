@@ -54,7 +54,7 @@ def polarisation_effect(p: Pilot, media: bool, geometry: list[Any], measure: boo
     filters = filters_in(p.loaded.scene, p.mi)
     possible = "spectral_polarized" in p.colors
     if filters and (p.backend == "scalar" or not possible):
-        why = "not quantified in scalar" if possible else f"but also what is made for {p.base} alone"
+        why = "not quantified in scalar" if possible else f"but also parts made for {p.base} alone"
         return decided(plan.POLARISATION, possible, math.inf, p.allowed, f"the scene holds {', '.join(filters)}, {why}")
     specular = [bool(s.bsdf().flags() & SPECULAR) for s in unique_materials(p.loaded.scene, p.mi)]
     if not filters and not any(specular):
@@ -107,7 +107,7 @@ def spectral_effect(
     if p.base != "rgb":
         return decided(plan.SPECTRAL, True, math.inf, p.allowed, f"RGB cannot load it: {p.loaded.demand}"), None
     if p.colors == ("rgb",):
-        return decided(plan.SPECTRAL, False, 0.0, p.allowed, "the scene holds what is made for RGB alone"), None
+        return decided(plan.SPECTRAL, False, 0.0, p.allowed, "the scene holds parts made for RGB alone"), None
     if _has_measured_spectra(p):
         if p.backend == "scalar":
             reason = "the scene has measured spectra (not quantified in scalar)"

@@ -56,7 +56,7 @@ def depth_effects(p: Pilot, media: bool, most: float, forced_depth: int | None) 
 
 
 def _deep_enough(p: Pilot, kind: str, most: float) -> tuple[int, pilot.Share]:
-    """The least depth beyond which no more is left than allowed, else the deepest; and what is left."""
+    """The least depth beyond which no more light is left than allowed, else the deepest; and the light left."""
     for deepest, candidates in ((DEEPEST, (*DEPTHS, DEEPEST)), *((d, (d // 2, d)) for d in DEEPER)):
         for depth in candidates:
             left = _tail(p, kind, depth, deepest, most)
@@ -113,7 +113,7 @@ def roulette_effect(p: Pilot, media: bool, depth: int, measure: bool, scale: flo
 
 
 def media_effects(p: Pilot) -> list[Effect]:
-    """Fog and other media: present or not, what they change, and whether their extinction has a colour."""
+    """Fog and other media: present or not, their contribution, and whether their extinction has a colour."""
     media = media_in(p.loaded.scene, p.mi)
     screens = [] if media else screens_before_points(p.loaded.scene, p.mi)
     if not media and not screens:
@@ -171,7 +171,7 @@ def aperture_effect(p: Pilot, geometry: list[Any], optics: Optics, scale: float)
 def motion_effect(
     geometry: list[Any], rig: Rig, small: Rig, optics: Optics, scale: float, sky: bool
 ) -> tuple[Effect, int]:
-    """Motion blur, from how far what is seen, a sky included, moves across the image during the exposure."""
+    """Motion blur, from how far visible points, a sky included, move across the image during the exposure."""
     if optics.motion is None or len(rig) < 2:
         return decided(plan.MOTION, False, 0.0, 0.5, "the camera is at rest", "px"), 1
     blur = image_motion(geometry, rig, small, optics.motion, sky) * scale

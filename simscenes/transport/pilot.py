@@ -67,7 +67,7 @@ class Pilot:
         return self.images[key]
 
     def cut(self, kind: str, depth: int, deepest: int) -> NDArray[np.float64]:
-        """What paths up to `depth` show of the pilot views, of those that end at `deepest`.
+        """The pilot views by paths up to `depth`, where the longest end at `deepest`.
 
         From one pass over all lengths where there is such a pass, else from a render of each depth. The deeper ones do
         without roulette: it ends one path in twenty at every bounce, however bright, so that few of hundreds of bounces
@@ -199,8 +199,8 @@ def missing_light(full: NDArray[np.float64], part: NDArray[np.float64]) -> Share
 def root_mean_squares(change: NDArray[np.float64], full: NDArray[np.float64], block: int = 4) -> tuple[float, ...]:
     """Root mean square of a change [c,h,w,3] of the views `full`, and by brightness: the figures of `Share.rms`.
 
-    Over blocks of pixels. What the pixels of a block differ by is taken for noise, whose part in the square is
-    subtracted; what is left is at least the square of the mean.
+    Over blocks of pixels. Differences within a block are taken for noise, whose part in the square is subtracted; the
+    rest is at least the square of the mean.
     """
     moved, noise = _blocks(change, block)
     light, _ = _blocks(full, block)

@@ -24,7 +24,7 @@ EFFECTS = (
     INDIRECT, DEEP, ROULETTE, MEDIA, SPECTRAL_MIS, POLARISATION, SPECTRAL, APERTURE, MOTION,
 )  # in the order of the table  # fmt: skip
 POSES_PER_PIXEL = 2  # of motion blur: from one to the next the picture moves by half a pixel
-DIRECT_DEPTH = 2  # Mitsuba counts path vertices: 1 sees lamps only, 2 adds what they light directly
+DIRECT_DEPTH = 2  # Mitsuba counts path vertices: 1 sees lamps only, 2 adds surfaces they light directly
 
 # An effect on the left that is on needs the states on the right.
 NEEDS = {
@@ -42,7 +42,7 @@ def settle(effects: Iterable[Effect], force: dict[str, bool]) -> tuple[Effect, .
         else e
         for e in effects
     }
-    for name in sorted(NEEDS, key=lambda name: name not in force):  # wishes come before what is only planned
+    for name in sorted(NEEDS, key=lambda name: name not in force):  # wishes come before plans
         if not settled[name].on:
             continue
         lacking = [needed for needed, wanted in NEEDS[name].items() if force.get(needed, wanted) != wanted]
@@ -95,7 +95,7 @@ class TransportPlan(Plan):
         effects = [
             {**e, **{key: math.nan for key in ("contribution", "bound") if e[key] is None}} for e in data["effects"]
         ]
-        bound = math.nan if data["bound"] is None else data["bound"]  # null stands for what was not measured
+        bound = math.nan if data["bound"] is None else data["bound"]  # null stands for a value not measured
         lights = tuple(data.get("light_weights", ()))
         tolerance = math.nan if data.get("tolerance") is None else data["tolerance"]
         rms = {name: tuple(math.inf if v is None else v for v in part) for name, part in data.get("rms", {}).items()}

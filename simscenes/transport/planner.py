@@ -59,7 +59,7 @@ def plan_transport(
         optics: Camera properties; None for the lens of the scene's own sensor, else a pinhole, at rest and seeing
             linear sRGB.
         force: Effect name -> True or False, decided by the user.
-        max_depth: Longest path, decided by the user; else that of the scene's own integrator, if it sets one.
+        max_depth: Longest path, decided by the user; else the limit of the scene's own integrator, if it sets one.
         measure: Measure polarisation, where Russian roulette pays, what made-up spectra would change, and the time the
             plan saves, with pilots of their own (some seconds); else polarisation is bounded from the surfaces, where
             that suffices, roulette starts where it usually pays (`RR_USUAL`), and the rest is not known.
@@ -126,8 +126,8 @@ def say_if_dark(p: Pilot) -> None:
         warnings.warn(f"scene {name!r} has no emitter: every picture is black; add one, such as "
                       '<emitter type="constant"/>', stacklevel=3)  # fmt: skip
     elif not any(light.any() for light in (*p.images.values(), *(found.light for found in p.by_length.values()))):
-        warnings.warn(f"no light of scene {name!r} reaches its cameras in the pilots: see that lamps face what they "
-                      "see, and that nothing encloses them", stacklevel=3)  # fmt: skip
+        warnings.warn(f"no light of scene {name!r} reaches its cameras in the pilots: see that lamps face the "
+                      "cameras' view, and that nothing encloses them", stacklevel=3)  # fmt: skip
 
 
 def _decide(

@@ -1,4 +1,4 @@
-"""What the planner knows about Mitsuba's plugins; what it does not know it simulates fully.
+"""What the planner knows about Mitsuba's plugins; it simulates unknown ones fully.
 
 `tests/plugins` holds a scene for each of these and compares its plan with everything on: docs/what-mitsuba-plugins.md.
 """

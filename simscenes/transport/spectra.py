@@ -30,7 +30,7 @@ METAL = ("eta", "k")
 def has_measured(mi: Any, loaded: LoadedScene) -> bool:
     """Whether a scene, loaded in spectra, has a light, a surface or a medium that was given as a spectrum.
 
-    What was given as RGB has only the smooth spectrum that Mitsuba makes up. Metals do not count: their measured
+    A colour given as RGB has only the smooth spectrum that Mitsuba makes up. Metals do not count: their measured
     indices become RGB once, whatever the light.
     """
     lights = "".join(str(light) for light in loaded.scene.emitters())

@@ -17,7 +17,7 @@ OF_MESH = re.compile(
     r"(\w*(?:reflectance|albedo|base_color|transmittance|spec_trans))(?: =|:) MeshAttribute\[\s*name = \"([^\"]+)\",\s*"
     r"scale = \"?([^\",\s\]]+)"
 )
-UNNAMED = re.compile(r"object_\d+")  # Mitsuba's name for what has none: an address, another one each time
+UNNAMED = re.compile(r"object_\d+")  # Mitsuba's name for a nameless object: an address, another one each time
 # Amounts of light or of a medium, by a part of a parameter's name; other parameters are positions and angles.
 AMOUNTS = re.compile(
     r"(^|\.)(radiance|irradiance|intensity|texture|data|scale|sun_scale|sky_scale|sampling_weight|sigma_t)(\.|$)"

@@ -1,4 +1,4 @@
-"""Untrusted scene files: what they may read, what they may run, how much work they may cause."""
+"""Untrusted scene files: the files they may read, the plugins they may run, the work they may cause."""
 
 from __future__ import annotations
 
@@ -195,7 +195,7 @@ class _Reader:
             raise ValueError(f"scene objects hold each other in a circle: {' in '.join(error.args[1])}") from error
         if sizes.get("", 0) > MAX_OBJECTS:
             raise ValueError(f"scene has more than {MAX_OBJECTS} objects once its references are written out; "
-                             "refer to fewer of those that refer to others")  # fmt: skip
+                             "refer less often to objects with references of their own")  # fmt: skip
 
     def _count_include(self, path: Path) -> None:
         self.includes_left -= 1
@@ -205,7 +205,7 @@ class _Reader:
     def _spend(self, characters: int, path: Path) -> None:
         self.text_left -= characters
         if self.text_left < 0:
-            raise ValueError(f"scene file {path} with what it includes, all $parameters written out, is larger than "
+            raise ValueError(f"scene file {path} with its included files, all $parameters written out, is larger than "
                              f"{MAX_TEXT >> 20} MiB; keep meshes in files of their own")  # fmt: skip
 
     def _define(self, name: str, value: str, path: Path) -> None:

@@ -47,7 +47,7 @@ class Depths:
 
     @staticmethod
     def of_points(views: MultiviewSet, points: SparsePoints | None, truth: MultiviewSet | None = None) -> Depths:
-        """Likewise with the points given, as before a capture is there: `views` are those of the set, at its size.
+        """Likewise with the points given, as before a capture is there: `views` are the views of the set, at its size.
 
         Raises:
             ValueError: If the set has neither depth nor points, or a view sees nothing.

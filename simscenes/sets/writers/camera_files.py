@@ -52,7 +52,7 @@ def write_cameras(
         folder: Created if it is missing.
         names: File stems, one per camera, sorted as files (`names.file_of`).
         rig: The cameras.
-        points: Sparse points with their tracks and errors, which are written as they are.
+        points: Sparse points with their tracks and errors, which are written unchanged.
         held_out: Places of the views for testing; None: every 8th, from 0.
         depth_dir: Folder of the depth images of all views, relative to `folder`; None if the set has no depth.
         scene: What the scene is called.

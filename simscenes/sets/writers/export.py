@@ -47,7 +47,7 @@ def check_llff(rig: Rig) -> None:
                          f"{fx[i]:.2f} and {fy[i]:.2f} px. Use the set's own transforms.json")  # fmt: skip
     away, i = _off_centre(rig)
     if away > OFF_CENTRE * max(rig.width, rig.height):
-        raise ValueError(f"the LLFF layout has the principal point in the middle of the picture; that of view {i} is "
+        raise ValueError(f"the LLFF layout has the principal point in the middle of the picture; in view {i} it is "
                          f"{away:.2f} px away. Use the set's own transforms.json")  # fmt: skip
 
 
@@ -73,7 +73,7 @@ def export_blender(views: MultiviewSet, folder: str | Path, *, truth: MultiviewS
     Raises:
         ValueError: If the cameras are not all one centred pinhole, which is all this layout can describe. Where no
             scale can bring all of the scene between `NEAR` and `FAR`, a warning says how much stays outside; the world
-            stays as it is, with a warning, where it is not known how far away the scene is.
+            stays unchanged, with a warning, where it is not known how far away the scene is.
     """
     folder, rig = Path(folder), views.rig
     check_blender(rig)
@@ -101,7 +101,7 @@ def _frame(views: MultiviewSet, truth: MultiviewSet | None) -> tuple[float, NDAr
     try:
         scale, center, outside = Depths.of(views, truth).fit(NEAR, FAR)
     except ValueError as error:
-        warnings.warn(f"{error}; the Blender layout keeps the world as it is, though its readers look between "
+        warnings.warn(f"{error}; the Blender layout keeps the world unchanged, though its readers look between "
                       f"near {NEAR:g} and far {FAR:g} alone", stacklevel=3)  # fmt: skip
         return 1.0, np.zeros(3)
     if outside:

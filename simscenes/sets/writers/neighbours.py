@@ -27,7 +27,7 @@ FEW = 100  # codes, fewer than which a scene does not have without a word
 CORE = (0.05, 0.95)  # quantiles of the points: a few strays must not shrink what the unit cube holds
 FILL = 0.9  # of the unit cube, by cameras and the core
 AABBS = tuple(2**i for i in range(8))
-BACKGROUND_AABB = 16  # where it is not known how far the scene goes: that of instant-ngp's own photographs
+BACKGROUND_AABB = 16  # where it is not known how far the scene goes: the value of instant-ngp's own photographs
 
 
 def write_points(path: Path, xyz: NDArray[np.floating], rgb: NDArray[np.uint8]) -> None:
