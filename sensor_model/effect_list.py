@@ -17,7 +17,7 @@ SHARED = "shared"  # the numba chain takes what the numpy code computed: a map, 
 class EffectParts:
     """Where one effect is."""
 
-    fields: tuple[str, ...]  # of `Sensor`, those of its parts as "defects.hot_factor"; empty: it needs none
+    fields: tuple[str, ...]  # of `Sensor`, fields of its parts as "defects.hot_factor"; empty: it needs none
     sampled: str  # function that puts it into the frame
     moments: str  # function that puts it into the analytic mean and variance
     fused: str = SHARED  # function of the numba chain that does the same as `sampled`

@@ -1,4 +1,4 @@
-"""What a simulation includes, what it leaves out, and the bound on the error of leaving it out.
+"""The effects a simulation includes, the effects it leaves out, and the bound on the error of leaving them out.
 
 Both planners (light transport and sensor) return this table; it prints, and is saved with every result.
 """

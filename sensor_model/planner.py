@@ -1,12 +1,12 @@
 """Which effects an exposure calls for.
 
-An effect may be left out if what it would add stays within three budgets, each for the sum of all that is left out:
-the relative standard deviation (epsilon), a bias in DN, and a relative error of the signal. Leaving out a variance v
+An effect may be left out if its contribution stays within three budgets, each for the sum of all omitted effects: the
+relative standard deviation (epsilon), a bias in DN, and a relative error of the signal. Leaving out a variance v
 changes the standard deviation by sqrt(1 + v/V) - 1 <= v / 2V, where V = S + R**2 + 1/(12 K**2) is the variance that
 every plan keeps: shot noise of the signal S, read noise, rounding. The cheapest effects are left out first. Where the
-charge of any pixel, its dark charge included, comes within five standard deviations of black or white, clipping decides
-what is left of the noise, no such bound holds, and nothing that contributes is left out: give quantiles without the
-highlights to plan for the rest.
+charge of any pixel, its dark charge included, comes within five standard deviations of black or white, clipping shapes
+the noise, no such bound holds, and nothing that contributes is left out: give quantiles without the highlights to plan
+for the rest.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ def _choose(candidates: Costs, budgets: dict[str, float], exempt: str | None) ->
         if fits:
             spent = {unit: total + cost.get(unit, 0.0) for unit, total in spent.items()}
         _, unit = _worst(cost, budgets)
-        fitting = "fits the budget" if fits else exempt or "exceeds what is left of the budget"
+        fitting = "fits the budget" if fits else exempt or "exceeds the rest of the budget"
         why = f"{reason}; {fitting}" if costly else "this camera has none"
         effects.append(_decided(name, not fits, cost[unit], budgets[unit], unit, why))
     return effects, spent
@@ -114,7 +114,7 @@ def _most_charge(s: Sensor, exposure: Exposure, high: float, limits: Limits) -> 
 
 
 def _hot_e(s: Sensor, exposure: Exposure, limits: Limits) -> float:
-    """Dark charge of a hot pixel beyond that of the others, if there are any. e-."""
+    """Dark charge of a hot pixel beyond the other pixels', if there are hot ones. e-."""
     d = s.defects
     return (d.hot_factor - 1) * s.dark_e(exposure) if d and d.hot_fraction * limits.pixels >= 0.01 else 0.0
 
@@ -126,7 +126,9 @@ def _telegraph_variance(s: Sensor, limits: Limits) -> float:
 
 
 def _least_kept(s: Sensor, signal_e: float, most: float) -> float:
-    """`kept_variance` at the gain that reads with less noise, of those in use at charges from `signal_e` up. e-**2."""
+    """`kept_variance` at the gain that reads with less noise, among the gains in use at charges from `signal_e` up.
+    e-**2.
+    """
     kept, gains = kept_variance(s, signal_e), s.dual_gain
     if gains is None or not _switches(s, most):
         return kept
@@ -139,7 +141,7 @@ def _switches(s: Sensor, most: float) -> bool:
 
 
 def _costs(s: Sensor, exposure: Exposure, low: float, high: float, limits: Limits) -> Costs:
-    """What leaving out each effect costs, per budget, at the worst signal in the range; and what it is."""
+    """The cost of leaving out each effect, per budget, at the worst signal in the range; and its description."""
     most = _most_charge(s, exposure, high, limits)
     dark, bright = (2 * _least_kept(s, x, most) for x in (low, high))
     dark_e = s.dark_e(exposure)
@@ -165,7 +167,7 @@ def _costs(s: Sensor, exposure: Exposure, low: float, high: float, limits: Limit
     spill = (4 * o.crosstalk + (1 - kept)) * (high - low) if o else 0.0
     # of the light alone; bias of the brightest edge against its own noise: 4 c dS <= sqrt(2 eps V) in the first budget
     costs["crosstalk"] = ({SD: spill**2 / bright, BIAS: s.gain * spill}, "at the strongest edge")
-    shown = 4 * s.coupling * (most - low)  # of any charge, that of a hot pixel too
+    shown = 4 * s.coupling * (most - low)  # of any charge, a hot pixel's too
     # it also smooths the noise: (1 - 4 c)**2 + 4 c**2 of the variance, 1 - 4 c of the deviation
     costs["coupling"] = ({SD: 4 * s.coupling + shown**2 / bright, BIAS: s.gain * shown}, "at the strongest edge")
     return costs
@@ -220,7 +222,7 @@ def _whole_variance(s: Sensor, charge_e: float, limits: Limits) -> float:
 
 
 def simplify(sensor: Sensor, plan: Plan | None) -> Sensor:
-    """The camera without the effects its plan leaves out; the others stay as they were."""
+    """The camera without the effects its plan leaves out; the others do not change."""
     off = {effect.name for effect in plan.effects if not effect.on} if plan else ()
     for name, without in REMOVE.items():
         if name in off:

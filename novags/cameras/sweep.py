@@ -87,7 +87,9 @@ def neighbours(viewmats: Array, i: int) -> NDArray[np.intp]:
 
 
 def planes(viewmats: Array, Ks: Array, i: int, near: NDArray[np.intp], shape: tuple[int, ...]) -> Array | None:
-    """Inverse depths [PLANES], uniform over those at which neighbours see some of the picture; None: at none."""
+    """Inverse depths [PLANES], uniform over the range in which neighbours see some of the picture; None: they see
+    nothing.
+    """
     if not len(near):
         return None
     height, width = shape
@@ -165,7 +167,7 @@ class _Windows:
 
 
 def semi_global(cost: Float) -> Float:
-    """Costs [D, h, w] with those of smooth paths from four sides added."""
+    """Costs [D, h, w] with the costs of smooth paths from four sides added."""
     total = np.zeros_like(cost)
     for axis, flip in ((1, False), (1, True), (2, False), (2, True)):
         volume = np.moveaxis(np.flip(cost, axis) if flip else cost, axis, 0)  # [steps, D, across]

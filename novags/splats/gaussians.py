@@ -21,7 +21,7 @@ class Gaussians:
         logit_opacities: Logits of the opacities [N].
         sh: Spherical-harmonics coefficients [N, K, 3], K = (degree + 1)^2.
         features: Whatever else a method trains for each of them [N, F]; None: nothing. They go wherever their Gaussian
-            goes; only the method's own losses know what they mean.
+            goes; only the method's own losses know their meaning.
     """
 
     means: Tensor

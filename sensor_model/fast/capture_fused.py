@@ -3,7 +3,7 @@
 Bit for bit the same frame as the numpy reference, for any number of threads and any size of block, because every pixel
 owns its random numbers and nothing is summed across pixels. Importing this module imports numba.
 """
-# numba infers the types of what it compiles, and its decorators are untyped.
+# numba infers types itself, and its decorators are untyped.
 # mypy: disable-error-code="no-untyped-call, no-untyped-def, untyped-decorator"
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ Distances known at compile time are what lets LLVM vectorise without testing eve
 Only + - * / and sqrt in float64 are used on the common path and nothing is re-associated, so results do not depend on
 the machine, the vector width or the place in a chunk. Importing this module imports numba: do so inside functions only.
 """
-# numba infers the types of what it compiles, and its decorators are untyped.
+# numba infers types itself, and its decorators are untyped.
 # mypy: disable-error-code="no-untyped-call, no-untyped-def, untyped-decorator"
 
 from __future__ import annotations

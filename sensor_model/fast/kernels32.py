@@ -1,10 +1,10 @@
 """Single-precision twins of the kernels, twice as many pixels to a SIMD register; each states how far it may be off.
 
 Code that rounds their result checks whether it lies so near to a step that the error could matter, and if so calls the
-double-precision kernel. So frames equal those of float64 bit for bit, at nearly the speed of float32.
-`f` is a float32 scratch array with the offsets of `b`. Importing this module imports numba.
+double-precision kernel. So frames equal float64 frames bit for bit, at nearly the speed of float32. `f` is a float32
+scratch array with the offsets of `b`. Importing this module imports numba.
 """
-# numba infers the types of what it compiles, and its decorators are untyped.
+# numba infers types itself, and its decorators are untyped.
 # mypy: disable-error-code="no-untyped-call, no-untyped-def, untyped-decorator"
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _OUTER = tuple(map(_F, (-0.000200214257, 0.000100950558, 0.00134934322, -0.00367
 
 
 def fast(function):
-    """Fused multiply-adds, where the machine has them: what is bounded here is the error, not the last bit."""
+    """Fused multiply-adds, where the machine has them: the bound here is on the error, not on the last bit."""
     return jit(function, fastmath={"contract", "nnan", "ninf", "nsz"})
 
 

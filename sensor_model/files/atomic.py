@@ -29,7 +29,7 @@ def atomic(path: str | os.PathLike[str]) -> Iterator[Path]:
 
     Raises:
         OSError: If it cannot be written; names `path` where the system names no file.
-        ValueError: If a link leads its folder out of those that were given.
+        ValueError: If a link leads its folder out of the given folders.
     """
     target = Path(path)
     check_links(target.parent)
@@ -79,7 +79,7 @@ class Witness:
                 self.stamps[os.path.abspath(file)] = stamp_of(file)
 
     def unchanged(self, path: Path) -> bytes | None:
-        """What was found of a file that is as it was when it appeared; None if that has to be seen by reading it."""
+        """The result of `look` for a file that has not changed since it appeared; None if only reading it can tell."""
         place = os.path.abspath(path)
         return self.found.get(place) if self.stamps.get(place) == stamp_of(path) else None
 
@@ -159,7 +159,7 @@ def remove(path: Path) -> None:
     """Remove a file or a folder, if it is there; of a link the link alone.
 
     Raises:
-        ValueError: If a link leads its folder out of those that were given.
+        ValueError: If a link leads its folder out of the given folders.
         OSError: If it cannot be removed.
     """
     check_links(path.parent)

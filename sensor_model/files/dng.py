@@ -1,8 +1,8 @@
 """Raw frames as DNG files: a colour filter mosaic, or one or three full channels (LinearRaw).
 
-Mosaics and monochrome frames are for any raw converter, three channels for LibRaw (rawpy) and what is built on it: both
-levels are one number for all channels. DNG 1.4 asks for one a channel in such files, and Adobe's converters ignore the
-levels that we write; but of three, LibRaw takes those for three of its four channels, leaves the fourth at 0, and
+Mosaics and monochrome frames are for any raw converter, three channels for LibRaw (rawpy) and programs built on it:
+both levels are one number for all channels. DNG 1.4 asks for one a channel in such files, and Adobe's converters ignore
+the levels that we write; but LibRaw takes three levels for three of its four channels, leaves the fourth at 0, and
 renders the picture darker by black/white. No file suits both.
 
 LibRaw reads all of them bit for bit, if both sides have `SMALLEST` pixels or more.
@@ -41,7 +41,7 @@ def write_dng(
     Args:
         path: File to write; appears whole or not at all.
         dn: uint16, [h, w] for a mosaic or a monochrome sensor, [h, w, 3] for three chips. Below `SMALLEST` px the file
-            is right, but LibRaw and what is built on it refuse it.
+            is right, but LibRaw and programs built on it refuse it.
         sensor: The camera. A black level between two codes stays exact in the file; LibRaw rounds it.
         exposure: Its time goes into the file; 0, or what a rational of the format holds, `TIMES`.
         color_matrix: As in `develop_linear`.

@@ -2,11 +2,11 @@
 
 A file is read if it is a regular file (a FIFO would wait for ever, a device has no end), not larger than what its kind
 can need, and not reached by a link that leads out of the folder that was given: an archive can carry a link to any
-file of the user's. The same rule holds for what is written.
+file of the user's. The same rule holds for written files.
 
 `enter` makes a folder known as one that was given: its links may lead to other places in it, to other folders that were
-given, and to those of `allow`. Paths outside all of these folders were written out by somebody in full, and links on
-them are not the business of this rule. The rule is for folders that lie still, not against somebody who changes them
+given, and to the places of `allow`. Paths outside all of these folders were written out by somebody in full, and links
+on them are not the business of this rule. The rule is for folders that lie still, not against somebody who changes them
 while they are read.
 """
 
@@ -38,7 +38,7 @@ _given: dict[str, str] = {}  # folders: absolute path as written -> without link
 
 
 def enter(folder: AnyPath) -> None:
-    """Take a folder as given by the user: from now on its links have to stay inside what was given.
+    """Take a folder as given by the user: from now on its links have to stay inside the given folders.
 
     Raises:
         ValueError: If it lies in another folder that was given, behind a link that leads out of all of them.
@@ -47,7 +47,7 @@ def enter(folder: AnyPath) -> None:
 
 
 def allow(places: Iterable[AnyPath]) -> None:
-    """Let links lead to these folders and files, in this process and in those that it starts."""
+    """Let links lead to these folders and files, in this process and in the processes that it starts."""
     both = dict.fromkeys([*_allowed(), *(os.path.realpath(place) for place in places)])
     os.environ[VARIABLE] = json.dumps(list(both))
 
@@ -139,7 +139,7 @@ def opened(path: AnyPath, *, most: int | None = None) -> BinaryIO:
         most: Bytes that it may have; None: what `largest` says.
 
     Raises:
-        ValueError: If it is not a regular file, is larger, or a link leads out of what was given.
+        ValueError: If it is not a regular file, is larger, or a link leads out of the given folders.
         OSError: If it is missing or cannot be read.
     """
     _check_kind(path, os.stat(path))  # before it is opened: that alone can block, or wind a tape back
@@ -229,7 +229,7 @@ def descriptor_of_our_own(path: AnyPath, flags: int) -> int:
 
 @cache
 def largest() -> int:
-    """Bytes of a file that this machine can make use of: half of its memory, since what is read is worked on there."""
+    """Bytes of a file that this machine can make use of: half of its memory, since the content is worked on there."""
     return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // 2
 
 

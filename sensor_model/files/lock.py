@@ -50,7 +50,7 @@ def locked(
 ) -> Iterator[bool]:
     """Hold a folder against every other process and thread that takes the same lock.
 
-    The thread that holds it may take it again. A process that is killed releases it, and what it left half-written is
+    The thread that holds it may take it again. A process that is killed releases it, and its half-written files are
     swept when the next one begins.
 
     Args:
@@ -209,7 +209,7 @@ def _lock(fd: int, folder: Path, wait: Tell | None, how: int = fcntl.LOCK_EX) ->
 
 
 def _is_at(fd: int, path: Path) -> bool:
-    """Whether the open file is still the one of that name."""
+    """Whether the open file still has this name."""
     try:
         return os.path.samestat(os.fstat(fd), os.stat(path))
     except FileNotFoundError:

@@ -38,7 +38,7 @@ def reading(path: str | os.PathLike[str], remedy: str = "correct it or put the o
     """Around everything that makes sense of a file's content: any failure becomes a ValueError that names the file.
 
     Args:
-        path: The file; a ValueError that names it already passes as it is.
+        path: The file; a ValueError that names it already passes unchanged.
         remedy: What the user can do.
 
     Raises:

@@ -38,7 +38,7 @@ class Later:
 
 
 class Registry(MutableMapping[str, Row]):
-    """Rows by name, in order. A row is given as text, "module:NAME", or as it is."""
+    """Rows by name, in order. A row is given as text, "module:NAME", or as an object."""
 
     def __init__(self, rows: Mapping[str, str | Row]) -> None:
         self._rows: dict[str, str | Row] = dict(rows)
@@ -72,6 +72,6 @@ class Registry(MutableMapping[str, Row]):
         return name in self._rows
 
     def module_of(self, name: str) -> str | None:
-        """The module of a row; None of a row that was given as it is, or is not there."""
+        """The module of a row; None of a row that was given as an object, or is not there."""
         row = self._rows.get(name)
         return row.partition(":")[0] if isinstance(row, str) else None

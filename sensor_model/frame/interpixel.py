@@ -1,7 +1,7 @@
 """Analytic mean and variance of charge that reaches across pixels: blooming, and capacitive coupling.
 
-Charges are taken as normal, and what arrives in a pixel as independent of what it has collected itself. Arrays are
-[h, w, c], units e-, variances e-**2.
+Charges are taken as normal, and charge that arrives in a pixel as independent of its own. Arrays are [h, w, c], units
+e-, variances e-**2.
 """
 
 from __future__ import annotations

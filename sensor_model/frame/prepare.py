@@ -49,7 +49,7 @@ class Prepared:
 def prepare(
     photons: NDArray, sensor: Sensor, exposure: Exposure, draws: streams.Draws, *, noise: bool = True
 ) -> Prepared:
-    """Everything but the noise of single pixels; `noise=False` also leaves out that of rows, columns and telegraphs."""
+    """Everything but the noise of single pixels; `noise=False` also leaves out row, column and telegraph noise."""
     s, light = sensor, on_sensor(as_channels(photons), sensor, exposure)
     draws.check_extent(light.shape)
     dark_e, where = s.dark_e(exposure), (light.shape, exposure.origin)

@@ -1,4 +1,4 @@
-"""Pictures as a network expects them, and cameras and points from what it then returns for every pixel.
+"""Pictures as a network expects them, and cameras and points from its output for every pixel.
 
 Positions have pixel centres at +0.5. A position p of a picture is at p * scale - offset in the prepared one.
 """
@@ -28,8 +28,8 @@ class Window:
     Attributes:
         scale: Factors (x, y) by which pictures were scaled.
         offset: Columns and rows (x, y) of the scaled pictures that were then cut off on the left and at the top.
-        width: Of what was kept, px.
-        height: Of what was kept, px.
+        width: Of the kept part, px.
+        height: Of the kept part, px.
     """
 
     scale: Array
@@ -43,7 +43,7 @@ class Window:
         return result
 
     def original_Ks(self, Ks: Array) -> Array:
-        """Intrinsics [C, 3, 3] of prepared pictures -> those of the original ones."""
+        """Intrinsics [C, 3, 3] of prepared pictures -> intrinsics of the original ones."""
         result = Ks.copy()
         result[:, :2, 2] += self.offset
         # Scaling keeps pixel edges in place, not centres, so with centres at +0.5 whole rows of K scale.

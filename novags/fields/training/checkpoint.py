@@ -106,7 +106,7 @@ def load_state(path: Path, settings: dict[str, object], layout: Layout, extra: M
         for name, t in wanted.items()
     )
     if not fits:
-        raise ValueError(f"{path} is damaged (its tensors are not those of the field): delete it to start again")
+        raise ValueError(f"{path} is damaged (its tensors do not fit the field): delete it to start again")
     for name, tensor in wanted.items():
         tensor.detach().copy_(tensors[name])
     for name, value in rest.items():

@@ -38,7 +38,9 @@ Progress = Callable[[int, int, dict[str, float]], None]
 
 @dataclass(frozen=True, kw_only=True)
 class FieldFit:
-    """A trained field: see `FieldState`, the wall time with that of stopped runs before this one, and theirs alone."""
+    """A trained field: see `FieldState`, the wall time including stopped runs before this one, and the time of these
+    runs alone.
+    """
 
     state: FieldState
     seconds: float
@@ -130,7 +132,7 @@ def _step(
     state: FieldState, views: Views, box: Box, loss: Loss, anchors: Anchors | None, config: FieldFitConfig,
     iteration: int,
 ) -> float:  # fmt: skip
-    """One step; a step that raises NotFinite leaves the state as it was, the map of densities too."""
+    """One step; a step that raises NotFinite leaves the state unchanged, the map of densities too."""
     rng, looked, mapped = np.random.default_rng([config.seed, iteration, 0xBA7C4]), state.looked, None
     if iteration % REFRESH == 0:
         mapped = state.proposal.density.copy()

@@ -77,7 +77,7 @@ class Recycler:
         return block
 
     def _collect(self) -> None:
-        """Shelve the blocks that came back, and free those of the sizes unused for longest."""
+        """Shelve the blocks that came back, and free blocks of the sizes unused for longest."""
         while self._back:
             block = self._back.popleft()
             size = len(block)

@@ -25,7 +25,7 @@ GRAIN_TILES = 2
 
 @dataclass(frozen=True, kw_only=True)
 class Camera:
-    """One pinhole camera and what it renders."""
+    """One pinhole camera and its output."""
 
     viewmat: np.ndarray  # [4, 4] float32, world to camera
     K: np.ndarray  # [3, 3] float32
@@ -283,7 +283,9 @@ def composite_backward(frame: Frame, v_image: np.ndarray, v_alpha: np.ndarray) -
 def backward(
     frame: Frame, shape: Shape, colors: np.ndarray, v_image: np.ndarray, v_alpha: np.ndarray, with_camera: bool
 ) -> Gradients:
-    """Gradients from those of the image [H, W, channels] and alpha [H, W]; of the camera if asked for, else zero."""
+    """Gradients from the gradients of the image [H, W, channels] and alpha [H, W]; of the camera if asked for, else
+    zero.
+    """
     camera, n, has_harmonics = frame.camera, len(shape.means), frame.degree >= 0
     v_rows, slots = composite_backward(frame, v_image, v_alpha)
     v_shape = Shape(means=empty((n, 3)), quats=empty((n, 4)), scales=empty((n, 3)), opacities=empty(n))

@@ -93,14 +93,14 @@ def rasterize(
     Returns:
         renders [C, H, W, channels], alphas [C, H, W, 1], and info: "means2d" pixels, whose `retain_grad()` works,
         "radii" [..., 2] int32 pixels (0: not visible), "depths", "conics", "opacities" (with compensation), if packed
-        "camera_ids" and "gaussian_ids" (else None), and sizes. What is not a number is made when it is asked for. With
-        "numba", one camera and packed=False means2d and depths are views of the kernels' own memory (64 bytes per
-        Gaussian): copy what you keep. With "gsplat" it is gsplat's own.
+        "camera_ids" and "gaussian_ids" (else None), and sizes. Entries other than numbers are made when they are asked
+        for. With "numba", one camera and packed=False means2d and depths are views of the kernels' own memory (64 bytes
+        per Gaussian): copy what you keep. With "gsplat" it is gsplat's own.
 
     Raises:
         ValueError: For a wrong shape, dtype or device, values outside their range, non-finite input (of the colours
-            only what is rendered counts), an argument of gsplat's that is not supported, or, with "numba", finite
-            input so large that float32 overflows.
+            only the rendered ones count), an argument of gsplat's that is not supported, or, with "numba", finite input
+            so large that float32 overflows.
     """
     check_others({"distributed": distributed, **others})
     check_choices(

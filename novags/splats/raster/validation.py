@@ -1,4 +1,4 @@
-"""Checks of what `rasterize` is given. Every message says which tensor, which rule, what was found and where."""
+"""Checks of the arguments of `rasterize`. Every message names the tensor, the rule, the value found and its place."""
 
 from numbers import Integral
 from typing import Any, NoReturn

@@ -30,7 +30,7 @@ class TrainingState:
         gaussians: Current Gaussians.
         adam: Their optimiser.
         cameras: Refinement of the training cameras; None where they stay as given.
-        companion: What is trained beside them; None: nothing.
+        companion: Parameters trained beside them; None: nothing.
         iteration: Iterations done.
         losses: Log entries.
         seconds: Wall time spent before this process took over.

@@ -35,12 +35,12 @@ LOG_EVERY = 10  # iterations between entries of FitResult.losses and calls of pr
 
 @dataclass(kw_only=True)
 class FitResult:
-    """Trained Gaussians and cameras (detached) and what they cost.
+    """Trained Gaussians and cameras (detached) and their cost.
 
     Attributes:
         gaussians: The scene.
-        viewmats: Training cameras at the end [C, 4, 4]: refined, or as they were given. The Gaussians belong to them.
-        config: How they were trained, with the extent: `config.splatting` shows them as they were seen in training.
+        viewmats: Training cameras at the end [C, 4, 4]: refined, or as given. The Gaussians belong to them.
+        config: How they were trained, with the extent: `config.splatting` shows them as in training.
         losses: One entry per LOG_EVERY iterations and one for the last: "iteration", "loss", "photometric",
             "n_gaussians", and "norm_means", "norm_quats", ...: the Euclidean norm of each tensor of the Gaussians.
         seconds: Wall time, of the stopped runs before this one too.

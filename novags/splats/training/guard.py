@@ -11,8 +11,8 @@ class NotFinite(ValueError):
     """A loss, gradient or parameter is NaN or infinite; the message says which, in which step and of which view.
 
     Attributes:
-        resumable: Whether what is trained is as it was before that step, so that a checkpoint of it leads there again
-            at once. If not, the last checkpoint does, or the start.
+        resumable: Whether the parameters are unchanged since before that step, so that a checkpoint of them leads there
+            again at once. If not, the last checkpoint does, or the start.
     """
 
     def __init__(self, message: str, *, resumable: bool = True) -> None:

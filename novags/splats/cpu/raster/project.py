@@ -189,7 +189,7 @@ def _project(c, b, out, rest):
     visible = visible & (px + rx > ZERO) & (px - rx < c[WIDTH]) & (py + ry > ZERO) & (py - ry < c[HEIGHT])
     extent = minimum(maximum(ceil(maximum(rx, ry)), ONE), MAX_RADIUS)
     visible = visible & (extent > c[RADIUS_CLIP])
-    # what is seen must have a direction, too: that of its colour is divided by this length
+    # a visible Gaussian must have a direction, too: the direction of its colour is divided by this length
     good = good & (select(visible, x * x + y * y + z * z, ZERO) < INFINITY)
     radius = select(visible, extent, ZERO)
 

@@ -96,7 +96,7 @@ def _update_torch(
     value: Tensor, gradient: Tensor, first: Tensor, second: Tensor, rate: float | Tensor, correction1: float,
     correction2: float,
 ) -> None:  # fmt: skip
-    """What the CPU's kernel does, on any device; a tensor of rates holds those of the first columns."""
+    """The CPU kernel's update, on any device; a tensor of rates holds the rates of the first columns."""
     if isinstance(rate, Tensor):
         value, gradient, first, second = (t[:, : len(rate)] for t in (value, gradient, first, second))
         rate = rate.to(value.device)
