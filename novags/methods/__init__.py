@@ -1,4 +1,4 @@
-"""What is compared: the tables of methods and of variants. A new row is a file of its own and a line of text here."""
+"""The tables of methods and of variants to compare. A new row is a file of its own and a line of text here."""
 
 from collections import ChainMap
 from collections.abc import Iterable, Mapping
@@ -96,7 +96,7 @@ def with_variants(variants: Iterable[Variant]) -> dict[str, Variant]:
     """The caller's own variants by name.
 
     Raises:
-        ValueError: If a name is taken or used twice, or is that of what it varies.
+        ValueError: If a name is taken or used twice, or a variant has the name of its method.
     """
     found: dict[str, Variant] = {}
     for variant in variants:

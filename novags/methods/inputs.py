@@ -1,4 +1,4 @@
-"""Which pictures a method is given, and what it says where they are not enough."""
+"""Which pictures a method is given, and its message where they are not enough."""
 
 from typing import Literal
 

@@ -49,7 +49,7 @@ def measured_light(
     """The measurements of a capture: raw frames, else the linear 16-bit pictures.
 
     Zero is the black level that the noise model states; the files of a camera with a black-level error state another.
-    Raw frames of another size than the pictures, and those whose white balance is unknown, are left alone.
+    Raw frames of another size than the pictures, or of unknown white balance, are left alone.
 
     Args:
         noise: Of its pictures.
@@ -109,8 +109,8 @@ def _scaled(curve: NoiseCurve, unit: list[float]) -> NoiseCurve:
 
 
 def _of_grey(variance: Variance, zero: Tensor) -> NoiseCurve:
-    """The noise of pictures after a colour matrix, from their `zero` [3] on, as that of a camera without one: right
-    where the light is grey.
+    """The noise of pictures after a colour matrix, from their `zero` [3] on, as the noise of a camera without a matrix:
+    right where the light is grey.
     """
     ends = torch.tensor([0.0, 0.5]).double()[:, None].expand(2, 3) + zero.cpu()
     dark, middle = variance(ends).tolist()

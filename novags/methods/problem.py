@@ -94,7 +94,7 @@ class Problem:
             the pictures (`noise_estimate.noise_of` chooses); None if neither is possible.
         channels_share: Why the noise of a pixel's three channels is not independent ("demosaicing", "JPEG", "colour
             matrix"); empty where it is.
-        pixels_share: Why that of neighbouring pixels is not independent, where the channels may be ("resampling");
+        pixels_share: Why the noise of neighbouring pixels is not independent, where the channels may be ("resampling");
             empty elsewhere.
         clean: The exposures without noise, developed like `srgb8`, [C, H, W, 3]; behind a colour filter array of all
             three channels of each pixel. Only methods with `sees_clean` get it.

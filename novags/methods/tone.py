@@ -18,7 +18,7 @@ from torch import Tensor
 
 KNEE = 0.167  # of the median, below which the curve is about straight
 NEIGHBOURS = (1, 4, 16, 64, 256, 1024)  # in a row, whose means take the place of single data in too little light
-BRIGHTEST = 0.999  # quantile of the pixels that is `top`; what is above is r > 1
+BRIGHTEST = 0.999  # quantile of the pixels that is `top`; brighter ones have r > 1
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def tone_curve(light: Tensor) -> ToneCurve:
 
 
 def median_light(values: Tensor) -> float:
-    """The median of noisy values [n]; if it is not above 0, that of means over just enough neighbours to be so.
+    """The median of noisy values [n]; if it is not above 0, the median of means over just enough neighbours to be so.
 
     Where most of a picture has a fraction of an electron, most data are the code of black or below: only the mean of
     several of them is above it.
@@ -97,8 +97,8 @@ class ResponseTable:
 
     Attributes:
         faint: Added to radiance before the logarithm, > 0, which is finite for black then.
-        low: Ln(radiance + faint) of the first code; what is darker has it too.
-        high: Of the last one; what is brighter has it too.
+        low: Ln(radiance + faint) of the first code; darker light has it too.
+        high: Of the last one; brighter light has it too.
         values: The codes, at least 2.
     """
 

@@ -44,7 +44,7 @@ def average(
 
     Args:
         target: The camera.
-        sources: Those of the exposures.
+        sources: Cameras of the exposures.
         exposures: Linear light.
         variances: Of the exposures' noise, > 0, the same shape.
         rules: What counts as seeing a pixel.
@@ -115,7 +115,7 @@ class AveragedScene:
         return found
 
     def camera(self, viewmat: Array, K: Array, height: int, width: int) -> Camera:
-        """The camera with its surface: as it is known, or for another camera as all known ones together show it."""
+        """The camera with its surface: the known surface, or for another camera the joint surface of all known cameras."""
         reach = _reach(self.known)
         for camera in self.known:
             turn, shift = _apart(camera.viewmat, viewmat)
@@ -129,7 +129,7 @@ class AveragedScene:
         return int(np.argmin([turn + shift / reach for turn, shift in apart]))
 
     def save(self, folder: Path) -> None:
-        """Write the exposures' cameras and surfaces with what was averaged, scene/exposures.npz."""
+        """Write the exposures with their cameras and surfaces, scene/exposures.npz."""
         with atomic(folder / "scene" / "exposures.npz") as temporary:
             np.savez_compressed(
                 temporary, viewmats=np.stack([c.viewmat for c in self.sources]),

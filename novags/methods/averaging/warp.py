@@ -78,7 +78,7 @@ def centres_of(rows: NDArray[np.intp], camera: Camera) -> Array:
 
 
 def homographies_of(target: Camera, source: Camera, rows: NDArray[np.intp]) -> Array:
-    """From image points of `target` to those of `source`, by the plane of each of these pixels, [n, 3, 3]."""
+    """From image points of `target` to image points of `source`, by the plane of each of these pixels, [n, 3, 3]."""
     motion = source.viewmat @ np.linalg.inv(target.viewmat)
     planes = target.planes.reshape(-1, 3)[rows]
     between = motion[:3, :3] + motion[:3, 3][None, :, None] * planes[:, None, :]
@@ -110,7 +110,7 @@ def _seen(
 
 
 def _jacobian(homographies: Array, centres: Array) -> Array:
-    """How far image points of the source move with those of the target, [n, 2 (u, v), 2 (x, y)]."""
+    """How far image points of the source move with image points of the target, [n, 2 (u, v), 2 (x, y)]."""
     points, factor = moved(homographies, centres)
     factor = np.where(np.abs(factor) > 1e-12, factor, 1e-12)  # as in `moved`
     slope = homographies[:, :2, :2] - points[:, :, None] * homographies[:, 2:, :2]
@@ -162,7 +162,9 @@ def _keys(x: Array) -> Array:
 
 
 def _on_surface(source: Camera, nearest: NDArray[np.intp], columns: NDArray[np.intp], single: Mask) -> Mask:
-    """Which pixels [n, samples, taps] may be used; of rows that show a single surface, those that show it alone."""
+    """Which pixels [n, samples, taps] may be used; of rows that show a single surface, the pixels that show it
+    alone.
+    """
     rows = np.broadcast_to(nearest[:, None, None], columns.shape).ravel()
     flat = columns.ravel()
     expected = source.at(rows, centres_of(flat, source))

@@ -92,7 +92,7 @@ def in_electrons(data: MeasuredLight) -> Measured:
     """
     if data.shared:
         raise LacksInput(
-            f"denoising needs data whose noise is independent, and without raw frames that of neighbouring pixels is "
+            f"denoising needs data whose noise is independent, and without raw frames neighbouring pixels' noise is "
             f"shared through {' and '.join(data.shared)}: take a method that works on the pictures alone"
         )
     curve, like = data.noise.curve, data.light

@@ -33,7 +33,7 @@ _TENT = torch.tensor([[1.0, 2.0, 1.0], [2.0, 4.0, 2.0], [1.0, 2.0, 1.0]])
 
 
 def filled(values: Tensor, mask: Tensor) -> Tensor:
-    """Measured values as they are, the missing ones as the weighted mean of their measured neighbours (bilinear).
+    """Measured values unchanged, the missing ones as the weighted mean of their measured neighbours (bilinear).
 
     Args:
         values: [B, 3, H, W], anything where the mask is 0; at least 2 px a side.

@@ -1,8 +1,8 @@
 """MBLLEN (Lv et al. 2018, "MBLLEN: Low-light Image/Video Enhancement Using CNNs").
 
 Ten convolutions one after the other extract features; from each, a small network of its own goes down by three and up
-by three convolutions to a picture, and a last convolution mixes the ten pictures. Names are those that Keras gave the
-layers of the official files, which are converted on reading.
+by three convolutions to a picture, and a last convolution mixes the ten pictures. Keras gave the layers of the official
+files their names; the files are converted on reading.
 
 What the authors' program does to the result is kept, with its defaults: if fewer than 5 % of the pixels are brighter
 than 0.8, the picture is multiplied until the 95th percentile is there; the 5th percentile becomes black; the
@@ -62,7 +62,7 @@ class Mbllen(nn.Module):
 
 
 def from_keras(tensors: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
-    """Tensors of an official file under the names and in the order of axes of this network; others as they are."""
+    """Tensors of an official file under the names and in the order of axes of this network; others unchanged."""
     kinds = {"kernel:0": "weight", "bias:0": "bias"}
     found = {}
     for path, value in tensors.items():

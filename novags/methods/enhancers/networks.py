@@ -2,8 +2,8 @@
 
 The configuration of each is a frozen dataclass with `weights`, files or None.
 
-A network is the same function for every picture. It is not parametrised by one, and so a noise-free exposure goes
-through it as it is: what differs then from its noisy twin's result is what the noise has changed, wherever in the
+A network is the same function for every picture. It has no parameters of a picture, so a noise-free exposure goes
+through it unchanged: the difference from its noisy twin's result is then due to the noise alone, wherever in the
 network. Only what a method does to the result afterwards may have parameters of a picture.
 """
 
@@ -57,7 +57,7 @@ class Kind:
         finish: (that, config, params or None) -> the picture after what the method does to it then, and its parameters.
         renamed: Names of official tensors -> names of the network's own.
         rehearsal: How it learns from a scene; None: it cannot.
-        where: Where weights come from, for those who have none.
+        where: Where to get weights, for users who have none.
     """
 
     name: str
@@ -73,7 +73,7 @@ class Kind:
 
         Raises:
             LacksInput: If it names none.
-            ValueError: If a file is missing or damaged, or holds those of another network.
+            ValueError: If a file is missing or damaged, or holds another network's weights.
         """
         self.refuse_without_weights(config)
         key = (self.name, config, stamps(config))

@@ -5,7 +5,7 @@ from torch import Tensor
 
 GREY = (0.299, 0.587, 0.114)
 ROUNDED = 1e-3  # error below which the robust loss is rounded: at 0 the slope of |e| jumps, and Adam would swing
-USUAL = 0.025  # error at which its slope is that of e^2: weights of other losses then count as beside a squared error
+USUAL = 0.025  # error at which its slope and the slope of e^2 agree: other losses then weigh as beside a squared error
 
 
 def robust(errors: Tensor) -> Tensor:

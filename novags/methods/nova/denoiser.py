@@ -92,7 +92,7 @@ class Denoiser:
         """One optimiser step on L_N2V, plus whatever gradients the network already holds. Returns the loss.
 
         Raises:
-            NotFinite: If the loss or a gradient is not finite; everything is then as it was before the step.
+            NotFinite: If the loss or a gradient is not finite; the step has then changed nothing.
         """
         stream, held = self.generator.get_state(), self._gradients()
         held = {name: gradient.clone() for name, gradient in held.items()}  # none unless L_recon reaches the denoiser

@@ -1,4 +1,4 @@
-"""What is chosen of the self-supervised denoiser: its network, its blind spots and their schedule."""
+"""Settings of the self-supervised denoiser: its network, its blind spots and their schedule."""
 
 from dataclasses import dataclass, field
 from typing import Literal

@@ -41,7 +41,7 @@ def choose_bandwidth(guide: Tensor, data: Exposures, curve: ToneCurve) -> tuple[
         curve: From tones to light.
 
     Returns:
-        h, and what was found at each step: "h", "bias2" and "variance", in squared tone; nothing for shared noise.
+        h, and the findings of each step: "h", "bias2" and "variance", in squared tone; nothing for shared noise.
     """
     if data.shared:
         noise = data.noise(curve.light(guide)) / curve.slope(guide).square()

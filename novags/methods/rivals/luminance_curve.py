@@ -118,7 +118,7 @@ class ViewCurves(nn.Module):
         return curve, power_then_s(1 + 0.1 * gamma, 0.5 + 0.002 * alpha, 1 + 0.002 * beta)
 
     def axes(self, view: int) -> Tensor:
-        """The axes of a view, rows of [3, 3]: those of red, green and blue at first."""
+        """The axes of a view, rows of [3, 3]: red, green and blue at first."""
         along = self.first.new_tensor([1.0, 0.0, 0.0])
         return orthogonal_axes(self.first[view] + along, self.second[view] + along[:2])
 

@@ -1,16 +1,15 @@
 """Luminance-GS (Cui et al. 2025): two colours for each Gaussian, dark and lit; the lit ones learn from curves.
 
 The dark picture is what the camera saw. The lit one is drawn to the dark picture after a curve that is learned with it
-(`luminance_curve.py`), and to local contrasts that are larger than the dark picture's. The curve is drawn to the one
-that equalises the histogram. With G = (1 - w) L1 + w (1 - SSIM),
+(`luminance_curve.py`), and to local contrasts that are larger than the dark picture's. The curve is drawn to the
+equalisation of the histogram. With G = (1 - w) L1 + w (1 - SSIM),
 
     loss = G(dark render, dark) + 1/2 G(lit render, curve(dark)) + contrast + 10 histogram
 
-What differs from the publication: Gaussians are relocated as in 3DGS-MCMC instead of being split and pruned by
-gradients, and regularised as there, as for all methods here; the iterations are those of the experiment, not 10,000;
-the attention layers see pictures of at most `seen` px a side, which a CPU can afford, and poses in the units of the
-set, where its program brings all scenes to one size; and the bias of the dark colour changes only the constant
-harmonic.
+Differences from the publication: Gaussians are relocated as in 3DGS-MCMC instead of being split and pruned by
+gradients, and regularised as there, as for all methods here; the experiment sets the iterations, not 10,000; the
+attention layers see pictures of at most `seen` px a side, which a CPU can afford, and poses in the units of the set,
+where its program brings all scenes to one size; and the bias of the dark colour changes only the constant harmonic.
 """
 
 import dataclasses

@@ -25,14 +25,14 @@ class Method:
     """One row of `METHODS`.
 
     Attributes:
-        title: What it does, in a sentence.
+        title: Its work, in a sentence.
         family: Where it belongs in a table.
         color: Of its lines and dots, "#rrggbb".
         config: Makes its configuration as published, a frozen dataclass: the class, or a function of its own.
         train: (problem, config, *, progress, checkpoint) -> Reconstruction. The problem's seed and extent override
-            those of `config.fit`; progress is called with (steps done, of how many, losses); checkpoint is the file
-            that an interrupted run goes on from. Raises LacksInput if the problem lacks what the method needs,
-            ValueError for a checkpoint that is damaged or of another run, NotFinite as `splats.fit` does.
+            `config.fit`; progress is called with (steps done, of how many, losses); checkpoint is the file that an
+            interrupted run goes on from. Raises LacksInput if the problem lacks what the method needs, ValueError for a
+            checkpoint that is damaged or of another run, NotFinite as `splats.fit` does.
         source: The publication or text that it follows.
         parts: The parts of `train` whose steps its progress counts through, and how many each has, for a configuration;
             None: their steps all take the same time.
@@ -71,7 +71,7 @@ class Variant:
         name: Of its folder and its row; the method's own name if nothing is changed.
         method: Name of the method.
         settings: Dotted setting -> value.
-        title: What it does, in a sentence; "" for the method's own, with the settings.
+        title: Its work, in a sentence; "" for the method's own, with the settings.
     """
 
     name: str
@@ -89,7 +89,7 @@ class Variant:
 
         Args:
             default: The method's configuration as published.
-            shared: Settings for all methods; those that this one lacks are ignored.
+            shared: Settings for all methods; settings that this one lacks are ignored.
 
         Raises:
             ValueError: If a setting does not exist, or a value is refused.

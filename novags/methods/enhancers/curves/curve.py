@@ -34,6 +34,6 @@ def through(
 
 
 def geometric_mean_params(params: Sequence[Array]) -> Array:
-    """`Enhancer.typical` of factors and luminances; of pictures some of which are black, that of the others."""
+    """`Enhancer.typical` of factors and luminances; where some pictures are black, the mean of the others."""
     lit = [each for each in params if each.all()]
     return np.exp(np.log(lit).mean(0)) if lit else params[0]

@@ -1,4 +1,4 @@
-"""Weights of networks on disk: official files, never unpickled freely, and those of this project's own trainings."""
+"""Weights of networks on disk: official files, never unpickled freely, and weights of this project's own trainings."""
 
 import argparse
 import hashlib
@@ -23,7 +23,7 @@ WRAPPERS = ("state_dict", "params")  # what official files keep their weights un
 
 
 def read_weights(paths: Sequence[Path]) -> dict[str, Tensor]:
-    """The tensors of one or more files by name; those of parts of a network as "part.name".
+    """The tensors of one or more files by name; tensors of parts of a network as "part.name".
 
     Args:
         paths: .safetensors, .h5 of Keras, or what `torch.save` wrote: of the latter only tensors, plain containers and

@@ -1,4 +1,4 @@
-"""No enhancement: the picture as it is."""
+"""No enhancement: the picture unchanged."""
 
 from typing import TYPE_CHECKING, Any
 
