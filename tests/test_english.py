@@ -93,10 +93,16 @@ def without(pattern: str, text: str, instead: str = "") -> str:
 
 
 def of_page(text: str) -> Iterator[Sentence]:
-    """The sentences of a page in Markdown or plain text, without its blocks of code."""
+    """The sentences of a page in Markdown, without its headings and blocks of code."""
     text = without(r"^ *```.*?^ *```$", text, "\x00")
+    text = without(r"(?<=\n\n) {4}(?! *[-*\d]).*?(?=\n\n|\Z)", text, "\x00")
     text = without(r"<!--.*?-->", text, "\x00")
     yield from sentences(without(r"^#+ .*?$", text, "\x00"), 1)
+
+
+def of_text(text: str) -> Iterator[Sentence]:
+    """The sentences of a plain text."""
+    yield from sentences(text, 1)
 
 
 def of_template(text: str) -> Iterator[Sentence]:
@@ -113,7 +119,7 @@ def of_template(text: str) -> Iterator[Sentence]:
     yield from sentences(without(r"<[^>]*>", without(INLINE_TAG.pattern, text), "\x00"), 1)
 
 
-READERS = {".py": of_python, ".md": of_page, ".txt": of_page, ".html": of_template}
+READERS = {".py": of_python, ".md": of_page, ".txt": of_text, ".html": of_template}
 
 
 def files() -> list[Path]:

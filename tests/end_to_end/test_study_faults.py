@@ -195,7 +195,7 @@ def test_a_fault_of_the_disk_in_a_stage_stops_the_study_and_fails_no_run(
     code, text = run()
     assert code == 1
     assert said in one_line(text)
-    assert "what is finished is kept; fix that and run the same command again" in one_line(text)
+    assert "finished work is kept; fix that and run the same command again" in one_line(text)
     assert set(states(tmp_path)) <= {"done", "waiting"}
     before = made(tmp_path)
     (tmp_path / "faults").unlink()

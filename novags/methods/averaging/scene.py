@@ -115,7 +115,7 @@ class AveragedScene:
         return found
 
     def camera(self, viewmat: Array, K: Array, height: int, width: int) -> Camera:
-        """The camera with its surface: the known surface, or for another camera the joint surface of all known cameras."""
+        """The camera with its surface: the known one, or for another camera the joint surface of all known cameras."""
         reach = _reach(self.known)
         for camera in self.known:
             turn, shift = _apart(camera.viewmat, viewmat)

@@ -33,7 +33,7 @@ def memory_shortage_said(what: str) -> Iterator[None]:
         where = "the GPU's memory" if _of_gpu(error) else "memory"
         first = (str(error).strip().splitlines() or [type(error).__name__])[0]
         raise MemoryError(
-            f"{what}: {where} is not enough ({first[:200]}): what is finished is kept; free some and run the same "
+            f"{what}: {where} is not enough ({first[:200]}): finished work is kept; free some and run the same "
             "again, or choose fewer points, smaller images or fewer views"
         ) from error
 

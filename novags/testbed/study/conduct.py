@@ -57,7 +57,7 @@ def conduct(
 
     Raises:
         OSError: If the disk is full or may not be written to.
-        KeyboardInterrupt: If it is interrupted; what is finished is kept.
+        KeyboardInterrupt: If it is interrupted; finished work is kept.
     """
     store.mkdir(parents=True, exist_ok=True)
     sealed = there(plan, store)

@@ -188,7 +188,7 @@ class Cluster:
         done = _result(ray, ref, self.terms.retries)
         _append(Path(log), done.log)
         if done.outcome.state == "machine":
-            raise OSError(f"{done.outcome.said}: what is finished is kept; fix that and run the same command again")
+            raise OSError(f"{done.outcome.said}: finished work is kept; fix that and run the same command again")
         if done.outcome.state == "busy":
             self.queue.busy(key, done.outcome.said)
             return

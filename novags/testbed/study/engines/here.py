@@ -36,7 +36,7 @@ class Here:
 
         Raises:
             BlockingIOError: If another process is at work on one of them.
-            OSError: If the machine cannot go on, because a disk is full, say. What is finished is kept.
+            OSError: If the machine cannot go on, because a disk is full, say. Finished work is kept.
         """
         places = {key: place for place, key in enumerate(work.plan.tasks)}
         make, queue = function_at(TASKS), Queue(work.watcher, lambda key: -places[key])

@@ -65,7 +65,7 @@ class Pool:
             known: How some of them have ended before; they are not tried.
 
         Raises:
-            OSError: If the machine cannot go on, because a disk is full, say. What is finished is kept.
+            OSError: If the machine cannot go on, because a disk is full, say. Finished work is kept.
         """
         try:
             self.queue.fill(jobs, known or {})
@@ -138,7 +138,7 @@ class Pool:
     def _answered(self, worker: Worker, key: str, outcome: Outcome) -> None:
         worker.key = None
         if outcome.state == "machine":
-            raise OSError(f"{outcome.said}: what is finished is kept; fix that and run the same command again")
+            raise OSError(f"{outcome.said}: finished work is kept; fix that and run the same command again")
         if outcome.state == "busy":
             self.queue.busy(key, outcome.said)
         else:

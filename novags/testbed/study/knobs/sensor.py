@@ -66,7 +66,7 @@ def _shot(level: float, side: int) -> Knob:
             lambda dn: kolmogorov(dn, exact), light.size,
         )  # fmt: skip
 
-    why = "exact at every level, and light is scarce here; what is left of its error is that of two samples"
+    why = "exact at every level, and light is scarce here; the rest of its error is the distance of any two samples"
     unit = "Kolmogorov distance of codes"
     return _knob(f"shot noise at {level:g} e-", ("normal", "poisson"), "poisson", unit, why, measured)
 
@@ -86,7 +86,7 @@ def _light(side: int) -> Knob:
             lambda dn: float(np.abs(dn - exact).mean()), light.size,
         )  # fmt: skip
 
-    why = "renders are float32 files and are taken as they are; arrays of float64 are not narrowed"
+    why = "renders are float32 files and are not converted; arrays of float64 are not narrowed"
     return _knob("light", ("float32", "float64"), "float64", "mean |DN|", why, measured)
 
 

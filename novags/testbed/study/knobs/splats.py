@@ -32,7 +32,7 @@ KNOBS: dict[str, tuple[tuple[Setting, ...], Setting, str]] = {
         "as in 3DGS and gsplat; small pictures want less, and the presets demo and small take 0.1",
     ),
     "float_bits": ((32, 64), 32, "its rounding errs far less than the thresholds do; only the slow reference has 64"),
-    "backend": (("numba", "torch"), "numba", "the same picture up to rounding; torch is what it is tested against"),
+    "backend": (("numba", "torch"), "numba", "the same picture up to rounding; torch is its reference in tests"),
     "tile": ((8, 16), 16, "the same picture; the faster of the two on pictures of the usual sizes"),
 }  # fmt: skip
 

@@ -303,9 +303,7 @@ def test_too_little_memory_is_one_line_that_says_what_to_do(tmp_path: Path, shor
     def work() -> None:
         raise shortage
 
-    with pytest.raises(
-        MemoryError, match=r"^toy: .*memory is not enough .*: what is finished is kept; .* fewer points"
-    ):
+    with pytest.raises(MemoryError, match=r"^toy: .*memory is not enough .*: finished work is kept; .* fewer points"):
         stage(tmp_path, work)
 
 
