@@ -66,7 +66,7 @@ def _end_if_nobody_reads() -> None:
     poll = select.poll()
     poll.register(output, 0)
     if any(event & select.POLLERR for _, event in poll.poll(0)):
-        os.dup2(os.open(os.devnull, os.O_WRONLY), output)  # else Python complains of what is still to be written
+        os.dup2(os.open(os.devnull, os.O_WRONLY), output)  # else Python complains of unwritten text
         sys.exit(128 + signal.SIGPIPE)
 
 
@@ -105,8 +105,8 @@ def _report(error: BaseException) -> str:
 def _check_words(words: list[str]) -> None:
     """Refuse paths that are not UTF-8 before any work: the libraries that write images cannot open them.
 
-    So are words that a terminal would obey when they are shown: control characters, and those that turn the direction
-    of writing.
+    So are words that a terminal would obey when they are shown: control characters, and characters that turn the
+    direction of writing.
     """
     for word in words:
         if any(ord(c) < 32 or 127 <= ord(c) < 160 or c in TURNING for c in word):

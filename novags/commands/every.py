@@ -8,12 +8,12 @@ LINKS, VERIFY = "--allow-links", "--verify"
 VARIABLE = "NOVAGS_VERIFY"  # as `ledger.hashes` reads it, without whose imports --help does
 HELP = (
     f"Every command takes {LINKS} FOLDER: links in the folders that it reads may lead there; others are refused. And "
-    f"{VERIFY}: every file is read to compare it with its record, even where size and times are those of before."
+    f"{VERIFY}: every file is read to compare it with its record, even where size and times have not changed."
 )
 
 
 def without_common(words: Sequence[str]) -> tuple[list[str], AbstractContextManager[None]]:
-    """The words of a command line that are left for its command, and what is to be held while it runs.
+    """The words of a command line that are left for its command, and the locks to hold while it runs.
 
     Raises:
         ValueError: If the folder of an option is missing.

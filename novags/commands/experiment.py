@@ -48,7 +48,7 @@ def run(
 ) -> None:
     """Run a whole experiment: render, capture in the dark, reconstruct with several methods, score, report.
 
-    Finished work is kept: the same command again does only what is missing.
+    Finished work is kept: the same command again does only the rest.
 
     Args:
         preset: Source of every setting that is not given here.
@@ -62,8 +62,8 @@ def run(
         sensor: A camera of sensor_model.PRESETS, or a TOML file of your own.
         electrons: Mean signal of the green channel over the set, electrons per pixel and exposure.
         budget: Time that everything may take, 120s, 5min, 1h: iterations, Gaussians, denoiser steps, samples and size
-            are chosen to lose least against the preset, those that are given here excepted. What that is expected to
-            cost is said before; see docs/accuracy-and-time.md.
+            are chosen to lose least against the preset, except the settings given here. What that is expected to cost
+            is said before; see docs/accuracy-and-time.md.
         curves: With a budget: folder of what `novags pareto METHOD` measured; if not given, what out/pareto has of this
             machine, for other methods the curves that came with novags.
         out: Folder of the experiment; if not given, out/PRESET, with scene, electrons and budget where they are given.
@@ -73,7 +73,7 @@ def run(
         cameras: Where cameras come from: known, known:rotation_deg=1, sfm, dust3r:checkpoint=FILE; see `novags help
             cameras`.
         refine_cameras: Let every fit of Gaussians correct its training cameras. Radiance fields, and averaging, take
-            them as they are given.
+            them as given.
         views: Number of views.
         width: Image width in pixels.
         height: Image height in pixels.

@@ -18,8 +18,8 @@ def pareto(
 ) -> None:  # fmt: skip
     """Measure what accuracy costs in time: every knob's error against its seconds, see docs/accuracy-and-time.md.
 
-    It is a study whose runs are measurements, one at a time with the whole machine. Each is in the store as soon as it
-    is made: the same command again does only what is missing.
+    It is a study whose runs are measurements, one at a time with the whole machine. Each goes to the store at once: the
+    same command again makes only missing ones.
 
     Args:
         what: render, sensor, splats, a method that declares knobs (whole reconstructions by it), or all; or a study
@@ -64,7 +64,7 @@ def pareto(
 
 
 def _measured(plan: "Plan", out: Path, store: Path, console: "Console") -> int:
-    """Measure what is missing and write the curves; returns how many failed, which the next start tries again."""
+    """Make missing measurements and write the curves; returns how many failed, which the next start tries again."""
     from novags.testbed.report.curves.page import write
     from novags.testbed.study.conduct import conduct
     from novags.testbed.study.engines.choice import OneMachine
@@ -79,7 +79,7 @@ def _measured(plan: "Plan", out: Path, store: Path, console: "Console") -> int:
     try:
         rows = conduct(plan, folder, store, console, OneMachine.whole(), retry_failed=True)
     except KeyboardInterrupt:
-        console.note(f"pareto {measured.of}: stopped; what was measured is kept in {store}")
+        console.note(f"pareto {measured.of}: stopped; finished measurements are kept in {store}")
         raise
     failed = sum(row["state"] != "done" for row in rows)
     if failed:

@@ -19,7 +19,7 @@ def store(
 ) -> None:  # fmt: skip
     """Say what a store of studies takes, or remove what no study refers to.
 
-    After a change of code a study makes its entries again, and those of before stay: nothing asks for them any more.
+    After a change of code a study makes its entries again, and the old ones stay: nothing asks for them any more.
 
     Args:
         action: size, or prune.

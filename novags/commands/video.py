@@ -13,8 +13,8 @@ def video(
 ) -> None:  # fmt: skip
     """Film a flight through a run, on a smooth path through its training cameras, beside truth and dark pictures.
 
-    Truth and dark pictures are known at the cameras alone: in between, those of the nearest one are shown, and the
-    film says so.
+    Truth and dark pictures are known at the cameras alone: in between, the nearest camera's are shown, and the film
+    says so.
 
     Args:
         run: Folder of a run that holds Gaussians or a radiance field.

@@ -1,4 +1,6 @@
-"""Fixtures of pytest. This file is imported with pytest itself: what is heavy is imported when a test asks for it."""
+"""Fixtures of pytest. This file is imported with pytest itself: heavy modules are imported when a test asks for
+them.
+"""
 
 from pathlib import Path
 from typing import Any, Protocol

@@ -1,4 +1,4 @@
-"""What is available, as text: scenes, sensors, methods and variants, light levels, presets, camera sources."""
+"""Everything available, as text: scenes, sensors, methods and variants, light levels, presets, camera sources."""
 
 import textwrap
 from collections.abc import Callable, Iterable
@@ -37,7 +37,7 @@ def scenes() -> str:
     rows.append(("NAME:SEED", "a variation of a scene, such as tabletop:3"))
     rows.append(("FILE.xml", "any Mitsuba 3 scene"))
     pictures = Path(__file__).resolve().parents[3] / "docs" / "scenes.png"
-    return table(rows) + (f"\n  what they look like: {pictures}" if pictures.exists() else "")
+    return table(rows) + (f"\n  pictures of them: {pictures}" if pictures.exists() else "")
 
 
 def sensors() -> str:

@@ -1,4 +1,4 @@
-"""What works on this machine, what does not, and how to install what is missing."""
+"""Parts that work on this machine, parts that do not, and how to install missing ones."""
 
 import os
 import platform

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from novags.testbed.console.groups import levels
 
-# How those that have no class for it put it. The system's own words, whatever error they are passed on in; and those of
-# torch, OpenCV and Dr.Jit, which are taken for that only in an error that a library raises.
+# Messages of libraries without an exception class for lack of memory. The system's own words count in any error; the
+# words of torch, OpenCV and Dr.Jit count only in an error that a library raises.
 _SYSTEM = re.compile(r"cannot allocate memory|can't allocate memory|failed to map segment", re.I)
 _LIBRARIES = re.compile(r"not enough memory|out of memory|insufficient memory", re.I)
 

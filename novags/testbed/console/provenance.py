@@ -1,4 +1,4 @@
-"""What a result was made with and what it cost: versions, hardware, peak memory."""
+"""The origin and the cost of a result: versions, hardware, peak memory."""
 
 import ctypes
 import os

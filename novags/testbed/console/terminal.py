@@ -19,7 +19,7 @@ PLAIN_INTERVAL = 5.0  # s between two plain lines of one stage: shows progress, 
 
 
 class Console:
-    """Where stages report what they do."""
+    """Where stages report their progress."""
 
     def __init__(self, *, quiet: bool = False, stream: TextIO | None = None) -> None:
         self.quiet = quiet
@@ -68,7 +68,7 @@ class Console:
             TextColumn("{task.description:<22}", markup=False),  # the name of a folder may hold brackets
             BarColumn(bar_width=30),
             MofNCompleteColumn(),
-            TextColumn("{task.fields[what]}", markup=False),  # and so may that of a view
+            TextColumn("{task.fields[what]}", markup=False),  # and so may the line of a view
             TimeElapsedColumn(),
             TextColumn("{task.fields[left]}"),
             console=self._rich,

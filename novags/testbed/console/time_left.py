@@ -36,7 +36,8 @@ class TimeLeft:
         parts = self.parts if sum(self.parts.values()) == total else {"": total}
         part, begin, end = _part_of(parts, done)
         if part != self.part:
-            # What came before the first step of a later part belongs to it. Of resumed work what is done now counts.
+            # What came before the first step of a later part belongs to it. Of resumed work only the part done now
+            # counts.
             self.whole = (now, done) if self.part is None else (self.last, begin)
             self.steps = (now, done) if done - begin <= PREPARED * (end - begin) else self.whole
             self.part = part

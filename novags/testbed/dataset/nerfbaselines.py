@@ -5,7 +5,7 @@ METHOD/SCENE/results.json           scores of every view, as little-endian float
 METHOD/SCENE/predictions/           color/ and gt-color/: the 8-bit pictures that the scores compare
 
 Scores are of 8-bit pictures, as there: PSNR, SSIM (11 x 11 Gaussian window), MAE, MSE, LPIPS (AlexNet) where it is
-installed. Only `reference` decides what is compared; it is part of the name of the data set.
+installed. Only `reference` decides on the compared pictures; it is part of the name of the data set.
 """
 
 import base64

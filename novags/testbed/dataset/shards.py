@@ -98,7 +98,7 @@ def _write(path: Path, samples: list[tuple[str, View]], out: Path) -> None:
 
 def _add(tar: tarfile.TarFile, name: str, content: bytes) -> None:
     member = tarfile.TarInfo(name)
-    member.size, member.mode = len(content), 0o644  # time 0 and owner 0 are what it begins with
+    member.size, member.mode = len(content), 0o644  # it begins with time 0 and owner 0
     tar.addfile(member, io.BytesIO(content))
 
 

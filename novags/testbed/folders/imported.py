@@ -1,8 +1,8 @@
 """What a capture folder of kind "imported" holds besides its pictures: photographs of somebody else's camera.
 
 lit/NNNN.png          the same views in good light, 8-bit sRGB, if they were given
-truth/NNNN.exr        clean.R, clean.G, clean.B: clean long exposures in linear light, brought to that of the dark
-                      pictures (0 = black, 1 = white), if they were given
+truth/NNNN.exr        clean.R, clean.G, clean.B: clean long exposures in linear light, brought to the light of the
+                      dark pictures (0 = black, 1 = white), if they were given
 """
 
 from pathlib import Path

@@ -45,7 +45,7 @@ def place_of(folder: Path, recorded: Recorded) -> Path:
 
 
 def keep_place(folder: Path, recorded: Recorded, found: Path) -> None:
-    """Remember that `folder` was made from what is now at `found`, if its record says something else."""
+    """Remember that the input of `folder` is now at `found`, if its record says something else."""
     if resolved(folder / place_text(recorded)) == resolved(found):
         (folder / MOVED).unlink(missing_ok=True)
     else:

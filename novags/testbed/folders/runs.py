@@ -9,7 +9,7 @@ from novags.testbed.folders.run import RECORD, Run, open_run
 from novags.testbed.ledger.contents import UNFINISHED, read_json
 from sensor_model.files.door import resolved
 
-EXPERIMENT = "experiment.json"  # in the folder of a study of one place, once its runs are done: what it was asked for
+EXPERIMENT = "experiment.json"  # in the folder of a study of one place, once its runs are done: the request
 STUDY = "study.json"  # in the folder of a study of many places
 TABLE = "results.json"  # in both
 ROWS: Any = {"axes": dict, "rows": [{"state": str, "folder": str}]}  # of the table

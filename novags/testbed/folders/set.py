@@ -45,7 +45,7 @@ PHOTOGRAPHS: Registry[Callable[..., Any]] = Registry({
 def for_photographs() -> tuple[str, ...]:
     """The modules that photographs need and no rendered set.
 
-    What is made from photographs depends on them; whoever corrects them keeps all results of rendered sets.
+    Results made from photographs depend on them; whoever corrects them keeps all results of rendered sets.
     """
     tables: tuple[Registry[Any], ...] = (PHOTOGRAPHS, READERS)
     return tuple(module for table in tables for name in table if (module := table.module_of(name)))
@@ -60,7 +60,7 @@ class Source:
     console: Console  # where notes on single views go
     lit_known: bool = True  # False: the views themselves are dark, and nothing shows them in good light
     called: str = ""  # what messages call it; "" is the set and its folder
-    reads: Reads = field(default_factory=dict, repr=False, compare=False)  # its JSON files, as they were opened
+    reads: Reads = field(default_factory=dict, repr=False, compare=False)  # its JSON files, as opened
 
     @property
     def title(self) -> str:
@@ -74,7 +74,7 @@ class Source:
 
     @property
     def modules(self) -> tuple[str, ...]:
-        """What is made from it depends on these modules beside those that every set needs."""
+        """Results made from it depend on these modules, beside the modules that every set needs."""
         return for_photographs() if self.views.kind == "photographs" else ()
 
     @property
@@ -169,12 +169,12 @@ class Source:
 
     @cached_property
     def content(self) -> str:
-        """What `digest` gives of the set as it was when it was opened; errors as there."""
+        """The result of `digest` when the set was opened; errors as there."""
         with read_once(self.reads):
             return self.digest()
 
     def digest(self) -> str:
-        """Hash of everything that is read from the set, wherever its files are, as it is now."""
+        """Present hash of everything that is read from the set, wherever its files are."""
         images = {f"images/{name}": file for name, file in zip(self.views.names, self.views.files, strict=True)}
         return folder_digest(self.views.path, READ_FROM, beside=images)
 
@@ -182,7 +182,7 @@ class Source:
         """Say that a photograph is before white, where it can be transparent."""
         file = self.views.files[i]
         if self.views.kind == "photographs" and file.suffix.lower() in WITH_ALPHA and has_alpha(file):
-            self.console.warn(f"pictures of {self.views.path} have an alpha channel: what is behind transparent pixels "
+            self.console.warn(f"pictures of {self.views.path} have an alpha channel: the background of their pixels "
                               "counts as white")  # fmt: skip
 
     def _fit(self, image: np.ndarray) -> np.ndarray:
@@ -202,8 +202,8 @@ def open_source(path: Path, console: Console, max_size: int | None = None) -> So
         max_size: Longest image side in pixels; larger images are scaled down to it. None keeps them.
 
     Raises:
-        ValueError: If the folder holds no posed images, a file of a set or a capture is not as it was written, or their
-            shortest side is, or becomes, too short for scores.
+        ValueError: If the folder holds no posed images, a file of a set or a capture has changed since it was written,
+            or their shortest side is, or becomes, too short for scores.
     """
     enter(path)
     reads: Reads = {}

@@ -33,7 +33,7 @@ class Darkroom:
 
     @property
     def resampled(self) -> str | None:
-        """Why pixels are no longer those of the files, so that raw frames and noise of single pixels mean nothing."""
+        """Why pixels differ from the files, so that raw frames and noise of single pixels mean nothing."""
         if self.views.lenses is not None:
             return "the distortion of the lens was undone"
         return "the pictures were scaled down" if self._scaled else None
@@ -73,7 +73,7 @@ class Darkroom:
         return self._decoded(self._cut(read_stored(file), file), i)
 
     def srgb8(self, file: Path, i: int) -> np.ndarray:
-        """The 8-bit sRGB picture of view `i`, uint8 [h,w,3]: as stored, as far as it is and nothing is scaled.
+        """The 8-bit sRGB picture of view `i`, uint8 [h,w,3]: as stored, if there is one and nothing is scaled.
 
         Raises:
             ValueError: As `linear`.

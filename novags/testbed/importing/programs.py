@@ -1,4 +1,4 @@
-"""A program of somebody else: run without a shell, with its time, its memory and what it said when it failed."""
+"""A program of somebody else: run without a shell, with its time, its memory and its output when it failed."""
 
 import ctypes
 import os
@@ -61,13 +61,13 @@ def output_of(words: tuple[str, ...], folder: Path) -> str:
 
 
 def run_program(words: Sequence[str], folder: Path, *, timeout: float | None, tick: Callable[[float], None]) -> Spent:
-    """Run a program to its end. What it prints goes to standard error of this process: in a study, to the log.
+    """Run a program to its end. Its output goes to standard error of this process: in a study, to the log.
 
     It gets nothing on standard input. It ends, with its children, when this process is interrupted or killed, or the
     time is up.
 
     Args:
-        words: The program and its arguments, as they are: no shell looks at them.
+        words: The program and its arguments, verbatim: no shell looks at them.
         folder: Where it runs.
         timeout: Seconds after which it is ended; None: never.
         tick: Told the seconds so far, now and then.
@@ -108,7 +108,9 @@ def _end_with_parent() -> None:
 
 
 def _end(process: "subprocess.Popen[bytes]") -> None:
-    """End a program and all that it has started; without effect on one that has ended, but for what it left behind."""
+    """End a program and all that it has started; without effect on one that has ended, but for processes it left
+    behind.
+    """
     for number in (signal.SIGTERM, signal.SIGKILL):
         with suppress(OSError):  # nobody is left
             os.killpg(process.pid, number)

@@ -1,4 +1,4 @@
-"""The camera that a set of raw files was taken with, from what they state and, if known, its model."""
+"""The camera that a set of raw files was taken with, from their metadata and, if known, its model."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path

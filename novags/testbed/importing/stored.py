@@ -70,7 +70,7 @@ def is_lossy(file: Path) -> bool:
 
 
 def chunks_of(file: Path) -> set[bytes]:
-    """Names of the chunks of a WebP file; those of its frames, where it is a film."""
+    """Names of the chunks of a WebP file; of its frames' chunks, where it is a film."""
     content, at, found = read_bytes(file), 12, set[bytes]()
     while at + 8 <= len(content):
         name, length = content[at : at + 4], int.from_bytes(content[at + 4 : at + 8], "little")

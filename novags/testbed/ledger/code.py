@@ -78,7 +78,7 @@ def _name(path: Path) -> str:
 
 @cache
 def version() -> str:
-    """Hash of all code that results depend on, as it is on this machine."""
+    """Hash of all code that results depend on, from this machine's files."""
     names = (".".join(path.relative_to(ROOT).with_suffix("").parts) for package in PACKAGES
              for path in Path(ROOT, package).rglob("*.py"))  # fmt: skip
     return _code_of(frozenset(name.removesuffix(".__init__") for name in names if not is_outside(name))).key

@@ -1,4 +1,4 @@
-"""Dry runs: a command says what it would do, and does nothing."""
+"""Dry runs: a command names its steps, and does nothing."""
 
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -24,7 +24,7 @@ class Planned(Exception):
 
 @contextmanager
 def dry_run(asked: bool = True) -> Iterator[list[bool]]:
-    """Where asked, a stage says what it would do, writes nothing, and ends the block; and so does `planned`.
+    """Where asked, a stage names its steps, writes nothing, and ends the block; and so does `planned`.
 
     Yields:
         A list, to which the stage adds whether its result would be kept.

@@ -32,9 +32,9 @@ class Made:
         return f"{_named(changed)} changed since {_day(self.date)}" if changed else ""
 
     def kept_though(self, code: Code) -> str:
-        """What to add to "kept" where texts changed alone (comments, docstrings, messages), or what it does not use."""
+        """What to add to "kept" where texts changed alone (comments, docstrings, messages), or code it does not use."""
         changed = sorted(name for name in self.texts if self.texts[name] != code.texts.get(name))
-        said = f": only texts, or what it does not use, changed in {_named(changed).rpartition(' ')[0]}"
+        said = f": only texts, or code it does not use, changed in {_named(changed).rpartition(' ')[0]}"
         return said if changed else ""
 
 

@@ -1,10 +1,10 @@
 """What code reaches: every definition that may run when some modules are used.
 
 A function or a constant runs where code that runs names it, a method where code that runs names its class, and what
-stands at the top of a module where that module is imported. So what is reached is found from the sources alone: what a
-definition names, what the module imports under that name, and what is named as text, "package.module:NAME", as in
-tables. The rows of a `Registry` are not followed. An object that comes from elsewhere has a class that somebody names:
-`tests/end_to_end/ledger/test_what_runs.py` watches small stages and finds nothing that runs and is not reached.
+stands at the top of a module where that module is imported. So the reached code is found from the sources alone: the
+names in a definition, the module's imports under these names, and definitions named as text, "package.module:NAME", as
+in tables. The rows of a `Registry` are not followed. An object that comes from elsewhere has a class that somebody
+names: `tests/end_to_end/ledger/test_what_runs.py` watches small stages and finds nothing that runs and is not reached.
 """
 
 import sys
@@ -81,7 +81,7 @@ class _Walk:
         self._loading: list[str] = []  # modules whose imports are to be followed
 
     def finish(self) -> None:
-        """Follow what was found."""
+        """Follow the names found."""
         while self._waiting or self._loading:
             if self._loading:
                 self._load(self._loading.pop())
@@ -161,7 +161,7 @@ class _Module:
         bound: The definitions of each name.
         runs: Definitions that count wherever the module is imported.
         loads: Module and name of what importing it imports.
-        lazy: Module and name of what is imported when it is used, by its name here.
+        lazy: Module and name of objects that are imported when they are used, by their names here.
     """
 
     source: Source

@@ -75,11 +75,13 @@ def run_stage(
         record_name: The record, written last.
         code: What does the work.
         inputs: Gives the content hash of each input, by name; asked before the work and after it.
-        opened: What it gave of the inputs as they were read, where that is known; it is not asked before the work then.
+        opened: Its result for the inputs at the time of reading, where that is known; it is not asked before the work
+            then.
         config: The resolved configuration (JSON-able).
         owns: Names in `folder` that the stage writes; nothing else is ever removed.
         prepare: Reads and checks the inputs. An earlier result stays untouched until it has returned.
-        work: Fills the folder (picking up what is there) with what `prepare` read, and returns the record's body.
+        work: Fills the folder (picking up existing files) from the data that `prepare` read, and returns the record's
+            body.
         console: Where progress goes.
         stale: Files elsewhere that describe an earlier result in `folder`; removed together with it.
         scrap: What in `folder` only unfinished work needs; removed once the record is written, not before.
@@ -122,7 +124,7 @@ def run_stage(
 def refuse_other(
     folder: Path, record_name: str, config: Mapping[str, Any], inputs: Mapping[str, str] | None = None
 ) -> None:
-    """Refuse to replace a finished result by that of another request, or to believe one that was damaged.
+    """Refuse to replace a finished result by another request's, or to believe a damaged one.
 
     Args:
         folder: Where the request would write.
@@ -227,7 +229,7 @@ class _Stage:
         )
 
     def _checksums(self, witness: Witness) -> dict[str, str]:
-        """Of every file, as it was when this stage wrote it.
+        """Of every file, at the time when this stage wrote it.
 
         Raises:
             ValueError: If somebody else has written to one since.
@@ -262,7 +264,7 @@ class _Stage:
         None if the folder has to be cleared for it.
 
         Raises:
-            ValueError: If what is there is not this stage's.
+            ValueError: If the existing files are not this stage's.
         """
         record, name = self.folder / self.record_name, self.name
         if self._unfinished.exists():

@@ -1,12 +1,12 @@
-"""The store: what stages made, one folder an entry, found again by what it was made from.
+"""The store: results of stages, one folder an entry, found again by its inputs.
 
 store/set/tabletop-20x160x160-1f3a…/   store/capture/…   store/run/…   store/measurement/…
 
 The end of a name is the key: a hash of the stage's code and whole configuration and of all that it was made from. It
 is known before anything is computed, and nothing else ever writes to that folder. When an entry is complete its seal is
-written, a hidden file that says what it was made from and what it cost, and holds the hashes of its stages' records;
-these hold the checksum of every file. Before an entry is used again, all are compared. Studies that run at the same
-time may share a store: locks on the folders protect it.
+written, a hidden file that names its inputs and its cost, and holds the hashes of its stages' records; these hold the
+checksum of every file. Before an entry is used again, all are compared. Studies that run at the same time may share a
+store: locks on the folders protect it.
 """
 
 import re
@@ -38,7 +38,7 @@ def key_of(kind: str, recipe: dict[str, Any], code: Code) -> str:
 
     Args:
         kind: One of `KINDS`.
-        recipe: Configuration and the keys or contents of what it is made from (JSON-able).
+        recipe: Configuration and the keys or contents of its inputs (JSON-able).
         code: What makes it.
     """
     return digest({"kind": kind, "code": code.key, **recipe})
@@ -100,7 +100,7 @@ def files_of(folder: Path, records: Iterable[str]) -> dict[str, str]:
 
 
 def damaged(folder: Path, seal: Seal) -> list[str]:
-    """The files that are not as they were when the entry was sealed. Files that came later do not count."""
+    """The files that have changed since the entry was sealed. Files that came later do not count."""
     return not_as_written(folder, seal.records, _whole) or not_as_written(folder, files_of(folder, seal.records))
 
 

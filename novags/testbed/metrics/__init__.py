@@ -1,5 +1,5 @@
 """Scores: pure functions of arrays that compare what a method made with the truth.
 
 `images` compares encoded pictures, `tone` aligns them first, `linear` compares light, `geometry` depth, `consistency`
-one view with another, `noise` what is left of it; `perceptual` is LPIPS.
+one view with another, `noise` the rest of it; `perceptual` is LPIPS.
 """

@@ -24,7 +24,7 @@ class ConsistencyScores(TypedDict):
 def consistency_scores(
     rendered: tuple[Image, Image], reference: tuple[Image, Image], displacement: NDArray, visible: NDArray
 ) -> ConsistencyScores:
-    """Colour change of the method's two views along true correspondences, and that of the reference.
+    """Colour change of the method's two views along true correspondences, and the reference's.
 
     - `rendered`: mean |A(p) - B(p + displacement)| of the method over the visible pixels and the channels.
     - `reference`: the same of the reference: gloss and reflections that move with the camera, and the resampling of B

@@ -1,4 +1,4 @@
-"""Camera raw files (DNG, NEF, CR2, ARW ...) through LibRaw: the mosaic as it was read out, or developed linear RGB."""
+"""Camera raw files (DNG, NEF, CR2, ARW ...) through LibRaw: the mosaic as read out, or developed linear RGB."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -107,7 +107,7 @@ def _stated(raw: Any, name: str) -> float | None:
 
 
 def _response(raw: Any, path: Path) -> tuple[float, float, float]:
-    """The inverse of the factors that balance white: those of the exposure, else of daylight, else equal ones."""
+    """The inverse of the factors that balance white: the exposure's, else daylight's, else equal ones."""
     for found in (raw.camera_whitebalance, raw.daylight_whitebalance):
         red, green, blue = (float(f"{v:.6g}") for v in found[:3])  # LibRaw keeps them in float32
         if min(red, green, blue) > 0:
@@ -118,7 +118,9 @@ def _response(raw: Any, path: Path) -> tuple[float, float, float]:
 
 
 def _color_matrix(raw: Any, path: Path) -> np.ndarray | None:
-    """That of the file, which a DNG states, else that of the camera's model, which LibRaw knows of most others."""
+    """The matrix in the file, which a DNG states, else the matrix of the camera's model, which LibRaw knows of most
+    others.
+    """
     matrix = np.array(raw.color_matrix, np.float64)[:3, :3]
     if not matrix.any():
         matrix = _of_model(np.array(raw.rgb_xyz_matrix, np.float64)[:3])
@@ -164,7 +166,7 @@ def _pattern(raw: Any, path: Path) -> Cfa | None:
 def read_radiance(path: Path) -> np.ndarray:
     """Linear sRGB float32 [h,w,3], 1 = white level: black level, white balance, AHD demosaicing, colour matrix.
 
-    The balance is that of `read_format`, so that LibRaw does not make each picture grey where a file states none.
+    The balance comes from `read_format`, so that LibRaw does not make each picture grey where a file states none.
     Pixels stay as stored (no rotation), because poses refer to the stored pixels.
 
     Raises:
@@ -197,8 +199,8 @@ def _check_whole(raw: Any, path: Path) -> None:
     """Refuse what LibRaw makes of a file whose end is missing or full of zeros: it says nothing in many formats.
 
     Every code has noise, so that a row repeats its first two (of a mosaic, one for each filter) only where all of it is
-    clipped, or as black as noise below a code leaves it. What is missing is the last rows: others may be the blank sky
-    of a simulated camera without noise.
+    clipped, or as black as noise below a code leaves it. The last rows are missing: others may be the blank sky of a
+    simulated camera without noise.
 
     Raises:
         ValueError: If too many of the last rows hold such codes that are neither black nor clipped.

@@ -1,4 +1,4 @@
-"""The published data sets, one row each, and which of them a folder is of. What is known of each: docs/real-data.md.
+"""The published data sets, one row each, and which of them a folder is of. Facts about each: docs/real-data.md.
 
 A scene is a folder. LOM is known by what its scenes hold; the others hold what many folders hold, so that a folder
 above has to bear the name of the data set, in upper or lower case.
@@ -14,7 +14,7 @@ from novags.testbed.importing.split import Split
 from sensor_model.files.reading import some
 from simscenes.sets.multiview import MultiviewSet
 
-DEPTH = 4  # folders below the one that is searched
+DEPTH = 4  # folders below the searched one
 NEAR = 3  # folders above a scene whose names count: farther up a name says where somebody works, not on what
 
 

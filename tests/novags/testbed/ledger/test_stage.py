@@ -64,7 +64,7 @@ def test_an_edited_record_is_refused(tmp_path: Path, old: str, new: str) -> None
     refuse_damage(tmp_path, read_json(path)["stage"], "make it again")
     assert old in path.read_text()
     path.write_text(path.read_text().replace(old, new))
-    with pytest.raises(ValueError, match=r"record(.json)? not as written .checksum.; put back what was there, or make"):
+    with pytest.raises(ValueError, match=r"record(.json)? not as written .checksum.; put back the original, or make"):
         refuse_damage(tmp_path, read_json(path)["stage"], "make it again")
 
 
