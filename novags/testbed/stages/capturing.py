@@ -31,7 +31,7 @@ from simscenes.sets.multiview import write_cameras
 QUANTILES = (0.0, 0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99, 1.0)
 PIXELS_PER_VIEW, PIXELS = 1365, 350_000  # kept for the quantiles of the signal: enough for the 1 % ones
 NO_LIGHT = {  # what to do about a black set of each kind
-    "rendered": "none reaches its cameras: add an emitter to the scene, or check that one faces what they see",
+    "rendered": "none reaches its cameras: add an emitter to the scene, or check that one faces their view",
     "photographs": "check that its pictures are right",
 }
 
@@ -115,7 +115,7 @@ def meter(source: Source, config: CaptureConfig, console: Console, pixels: int |
         source: The set.
         config: Camera and light.
         console: Where progress goes.
-        pixels: Of an image of the capture; None: those of the source.
+        pixels: Of an image of the capture; None: the source's.
 
     Raises:
         ValueError: If the set is black or holds bad radiance.

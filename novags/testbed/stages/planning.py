@@ -1,4 +1,4 @@
-"""What a capture of a scene would simulate, what it would leave out, and the bounds: the plans, before any work."""
+"""The effects that a capture of a scene would simulate or leave out, and the bounds: the plans, before any work."""
 
 import os
 from dataclasses import replace

@@ -128,12 +128,12 @@ def place(files: dict[str, Path], out: Path, config: PosesConfig, console: Conso
 
 
 def levelled(found: Registered) -> Registered:
-    """The same turned so that z is up, as in all sets: up is what is up in the mean photograph.
+    """The same turned so that z is up, as in all sets: up is the upward direction of the mean photograph.
 
     COLMAP's world is turned like its first pair of pictures. Cameras that agree on no up keep theirs.
     """
     up = -found.viewmats[:, 1, :3].mean(0)
-    if np.linalg.norm(up) < 1e-3:  # its direction would be that of rounding
+    if np.linalg.norm(up) < 1e-3:  # its direction would be rounding
         return found
     turn, _ = Rotation.align_vectors([[0.0, 0.0, 1.0]], [up])
     world = np.eye(4)

@@ -1,4 +1,4 @@
-"""A study from its file to its tables: plan, do what is missing, keep what is known of failures, write the rows."""
+"""A study from its file to its tables: plan, do the missing tasks, keep the known failures, write the rows."""
 
 import os
 import time
@@ -26,7 +26,7 @@ TABLES_EVERY = 10.0  # s; at least, between two writings of the tables while run
 
 
 def there(plan: Plan, store: Path) -> set[str]:
-    """The entries that a store has, by their seals; whether their files are as they were is seen when they are used."""
+    """The entries that a store has, by their seals; whether their files have changed is seen when they are used."""
     return {key for key, task in plan.tasks.items() if _is_sealed(task.folder(store), key if task.place else None)}
 
 
@@ -43,7 +43,7 @@ def conduct(
     plan: Plan, out: Path, store: Path, console: Console, engine: Engine, *, retry_failed: bool = False,
     known: Mapping[str, Outcome] | None = None, url: str | None = None,
 ) -> list[dict[str, Any]]:  # fmt: skip
-    """Do what is missing of a study and write its tables; returns their rows.
+    """Do the missing tasks of a study and write its tables; returns their rows.
 
     Args:
         plan: The study.

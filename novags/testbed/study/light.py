@@ -24,7 +24,7 @@ class Measure:
     Attributes:
         key: Short name.
         column: Of the study's table.
-        label: What it is.
+        label: Its name in the legend.
         unit: Its unit, "" for a pure number.
         breaks: How the knee is defined: "below" the bright value by `amount`, "above" it by the factor `amount`; None:
             it has no knee.
@@ -194,7 +194,7 @@ def _curve(measure: Measure, place: dict[str, Any], method: str, rows: Iterable[
 
 
 def _knee(seeds: Collection[Mapping[float, float | None]], most: float, measure: Measure) -> Knee:
-    """The knee of all seeds, of which those without a value at the most light are unknown."""
+    """The knee of all seeds; seeds without a value at the most light are unknown."""
     known = [seed for seed in seeds if seed.get(most) is not None]
     return common_knee([knee_of(seed, measure) for seed in known], unknown=len(seeds) - len(known))
 

@@ -2,7 +2,7 @@
 
 set/ (unless one is given)   capture/   a folder for each method or variant
 results.csv   results.json   one row a run, as of every study; failures.json and logs/ where there are any
-experiment.json   report.html   what was asked for, once all is done, and the page
+experiment.json   report.html   the request, once all is done, and the page
 """
 
 from collections.abc import Callable, Sequence
@@ -39,7 +39,7 @@ def run(
     preset: Preset, out: Path, console: Console, *, report: Callable[[Path, Console], Path] | None = None,
     engine: Engine | None = None, command: str | None = None, overwrite: bool = False,
 ) -> Path:  # fmt: skip
-    """Run what is still missing of the experiment in `out`; returns the path of the report, or `out` without one.
+    """Run the rest of the experiment in `out`; returns the path of the report, or `out` without one.
 
     Args:
         preset: What to do.
@@ -189,7 +189,7 @@ def score_all(folder: Path, runs: Sequence[Run], console: Console) -> None:
     """
     with locked(folder, make=False):
         for run in runs:
-            with dry_run(dry.get()):  # in a dry run each says what it would do
+            with dry_run(dry.get()):  # in a dry run each names its steps
                 stages.score(run.path, console)
         if _is_done(folder):
             planned(console, "score", [folder / name for name in (CSV, TABLE)])

@@ -24,7 +24,7 @@ COSTS = ("seconds.", "peak_bytes")  # beginnings of the columns that differ from
 
 @dataclass(frozen=True)
 class State:
-    """Where a run is: "done", "failed", "skipped" (what it needs has failed) or "waiting"."""
+    """Where a run is: "done", "failed", "skipped" (a task it needs has failed) or "waiting"."""
 
     name: str = "waiting"
     reason: str | None = None
@@ -55,7 +55,7 @@ class Table:
         """One row a run, in the order of the file.
 
         Args:
-            states: Of the runs, by key; those that are missing wait, or are as they were before.
+            states: Of the runs, by key; missing ones wait, or keep their earlier state.
         """
         found = []
         shares = self._recovered(states)

@@ -32,7 +32,7 @@ def steps(task: Task, folder: Path, source: Path | None, console: Console) -> St
     """What makes an entry.
 
     Args:
-        task: What has to be made.
+        task: The task.
         folder: Where.
         source: The set that a capture photographs, or the capture of a run or a measurement.
         console: Where progress goes.
@@ -63,7 +63,7 @@ def make_set(
     folder: Path, config: RenderConfig | PosesConfig, console: Console, *, stale: Sequence[Path] = (),
     overwrite: bool = False,
 ) -> None:  # fmt: skip
-    """Make a multiview set, rendered or of photographs; arguments and errors as those of the two stages."""
+    """Make a multiview set, rendered or of photographs; arguments and errors as for the two stages."""
     if isinstance(config, PosesConfig):
         stages.poses(folder, config, console, stale=stale, overwrite=overwrite)
     else:

@@ -20,7 +20,7 @@ def refusal(origins: list[str], hosts: list[str], names: frozenset[str]) -> str:
     """Why a request is refused; "" if it is not.
 
     Args:
-        origins: The headers `Origin`: that of the page that asks. Programs other than browsers send none.
+        origins: The headers `Origin`: the origin of the page that asks. Programs other than browsers send none.
         hosts: The headers `Host`: what the browser was told to open.
         names: Which that may be, beside addresses, which nobody can make point elsewhere.
     """
@@ -49,7 +49,7 @@ def _is_address(host: str) -> bool:
 
 
 def names_of(host: str) -> frozenset[str]:
-    """The names that a viewer has which listens there: `host` itself, and those of this machine."""
+    """The names that a viewer has which listens there: `host` itself, and the names of this machine."""
     here = socket.gethostname()
     short = here.partition(".")[0]
     return frozenset(name.lower() for name in (host, "localhost", here, short, f"{short}.local") if name)

@@ -1,4 +1,4 @@
-"""One browser: what it has chosen, and the thread that shows it."""
+"""One browser: its choices, and the thread that shows them."""
 
 import threading
 from collections.abc import Callable, Sequence
@@ -48,7 +48,7 @@ class Session:
         return next((s for s in self.all_shown if s.title == self.panel.capture.value), self.all_shown[0])
 
     def _update(self, parts: frozenset[str]) -> None:
-        """Show what is chosen now. What goes wrong, a folder that was removed say, is said in the panel."""
+        """Show the present choice. What goes wrong, a folder that was removed say, is said in the panel."""
         if "capture" in parts:
             parts |= {"splats", "pictures", "light"}
         steps = (

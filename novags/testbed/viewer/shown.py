@@ -32,7 +32,7 @@ SAMPLED = 32  # renderings that the mean light of a reconstruction is taken from
 
 @dataclass(frozen=True)
 class Shown:
-    """A capture and its runs. What was read or computed once is kept."""
+    """A capture and its runs. Files and results are kept once read or computed."""
 
     title: str
     capture: Capture
@@ -104,14 +104,14 @@ class Shown:
         into = self.world.from_true @ true_from(self.runs[name], self.capture)
         if not isinstance(found, GaussianScene):
             return found, into, None
-        light = self.runs[name].space == "linear" and found.tone is None  # tones are drawn as they are
+        light = self.runs[name].space == "linear" and found.tone is None  # tones are drawn unchanged
         return found, into, drawn(found, into, self._gain(name) if light else None)
 
     def linear(self, name: str, image: np.ndarray) -> np.ndarray:
         """A rendering of a run as light, in a unit of the run's own.
 
-        Of a run that does not render linear light, the light that its picture would need on a screen: the tones are
-        those of the picture, not of the scene.
+        Of a run that does not render linear light, the light that its picture would need on a screen: the tones belong
+        to the picture, not to the scene.
         """
         if self.runs[name].space == "linear":
             return np.maximum(image, 0)

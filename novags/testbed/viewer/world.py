@@ -40,7 +40,8 @@ class World:
     def of(capture: Capture, upright: bool) -> "World":
         """The frame around a capture's cameras.
 
-        Up is what is up in the mean picture; with `upright` the axis of the true world that is nearest to that.
+        Up is the upward direction of the mean picture; with `upright` the axis of the true world that is nearest to
+        that.
         """
         true = true_cameras(capture).numpy()
         extent = extent_of(true)
@@ -89,7 +90,7 @@ def true_from(run: Run, capture: Capture) -> Similarity:
     """From the frame of a run to the true one; the identity for runs that did not write their cameras.
 
     Raises:
-        ValueError: If its cameras are damaged, or are not those of the capture.
+        ValueError: If its cameras are damaged, or are not the capture's.
     """
     found = own_cameras(run)
     if found is None:

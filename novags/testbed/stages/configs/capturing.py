@@ -95,7 +95,7 @@ class CaptureConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class OwnNoiseConfig(CaptureConfig):
-    """A capture whose noise no other one shares: what is trained on several cannot learn the random numbers."""
+    """A capture whose noise no other one shares: a network trained on several cannot learn the random numbers."""
 
     drawn: int  # seed of the random numbers; `seed` says which of several exposures of the same light it is
 

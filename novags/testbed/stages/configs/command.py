@@ -41,10 +41,10 @@ class CommandConfig:
         folder: Where it runs; relative paths in it start here.
         timeout: Seconds after which it is ended and has failed; None: never.
         space: What its pictures are: "lit" (as in good light, sRGB-encoded) or "linear" (the light of the scene).
-        files: Files and folders beside those that the command names, relative to `folder`, that make it another
-            program when they change.
+        files: Files and folders that the command does not name, relative to `folder`, that make it another program when
+            they change.
         version: A command whose output tells one version of the program from another ("theirs --version"); "" for none.
-        title: What it does, in a sentence.
+        title: Its work, in a sentence.
         seed: Of the run.
     """
 
@@ -94,7 +94,7 @@ class CommandConfig:
 
     @property
     def variant(self) -> Variant:
-        """Its name, as that of a method of the test bed."""
+        """Its name, as a method of the test bed has one."""
         return Variant(name=self.name, method=self.name, title=self.title)
 
     def words(self, **places: str) -> list[str]:
@@ -152,7 +152,7 @@ def read_commands(tables: Any, folder: Path) -> tuple[CommandConfig, ...]:
 
     Args:
         tables: What stands under `method`.
-        folder: That of the file, where commands run.
+        folder: The file's folder, where commands run.
 
     Raises:
         ValueError: If a table is not a method; names it.

@@ -1,4 +1,4 @@
-"""What is known about dark photographs besides their files."""
+"""Knowledge about dark photographs besides their files."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,7 +19,7 @@ from sensor_model.presets import PRESETS
 
 @dataclass(frozen=True, kw_only=True)
 class ImportConfig:
-    """What is known about dark photographs besides their files."""
+    """Knowledge about dark photographs besides their files."""
 
     lit: Path | None = None  # well-lit pictures of the same views
     clean: Path | None = None  # long exposures of the same views in the same light
@@ -31,7 +31,7 @@ class ImportConfig:
     demosaic: Demosaic = "menon"  # for raw files with a colour filter array
     max_size: int | None = None  # px; scale larger pictures down to this longest side
     split: Split = "own"  # which views are held out
-    dataset: str = "auto"  # the published data set that the folder is a scene of; auto: what it looks like; or none
+    dataset: str = "auto"  # the published data set that the folder is a scene of; auto: by its looks; or none
     camera: Sensor | None = field(init=False)  # what `sensor` stands for
 
     def __post_init__(self) -> None:

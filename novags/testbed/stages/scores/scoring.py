@@ -78,7 +78,7 @@ def _score(run_path: Path, console: Console) -> dict[str, Any]:
         "score", run_path, METRICS, code=code_of_scores(run, lit), inputs=inputs,
         opened={"run": run.digest(), "capture": captured.content, "set": lit.content},
         config={"lpips": missing is None}, owns=(METRICS,),
-        prepare=lambda: None, work=work, console=console, overwrite=True,  # scores describe what is there now
+        prepare=lambda: None, work=work, console=console, overwrite=True,  # scores describe the present files
     )  # fmt: skip
 
 
@@ -94,8 +94,8 @@ def score_test_views(
     """Scores of every held-out view against each of its references, and their means.
 
     Returns:
-        `mean` and `views` hold the image scores by reference (None in `mean` for one that is not known); `geometry`
-        those of depth (None if unknown), with the view consistency.
+        `mean` and `views` hold the image scores by reference (None in `mean` for one that is not known); `geometry` the
+        scores of depth (None if unknown), with the view consistency.
     """
     views: dict[str, Any] = {}
     depths = []
@@ -258,7 +258,7 @@ def recovered_fractions(
     """
     for needed, what in ((kind, f"the reference {kind}"), ("enhanced", "the noise-free exposure, the ceiling's,")):
         if all(method["mean"].get(needed, {}) is None for method in scores.values()):
-            return {}, f"{what} is not known for these photographs, so what was recovered cannot be measured"
+            return {}, f"{what} is not known for these photographs, so the recovered share cannot be measured"
     ends = bounds_of(methods)
     if len(ends) < 2:
         wanted = [name for name, method in METHODS.items() if method.bound and method.bound not in ends]
@@ -285,7 +285,7 @@ def recovered_fractions(
 
 
 def bounds_of(methods: Mapping[str, str]) -> dict[str, list[str]]:
-    """The runs at each end of the scale, "floor" and "ceiling": methods as they are, not variants of them.
+    """The runs at each end of the scale, "floor" and "ceiling": methods themselves, not variants of them.
 
     Args:
         methods: The method of each run, by its name, which may follow a folder and a slash.

@@ -22,7 +22,7 @@ class Option:
     Attributes:
         name: iterations, points, ...
         share: Of the preset's own value.
-        factors: What it multiplies each part's seconds by; parts that are missing stay.
+        factors: Factors on each part's seconds; missing parts keep theirs.
         lost: Expected loss against the preset's own value, dB of aligned PSNR, >= 0.
         sd: Its standard deviation.
     """
@@ -135,7 +135,7 @@ def united(curves: Sequence[Sequence[Option]]) -> list[Option]:
     """Curves of one option, measured with several methods, as one: for an experiment that compares these methods.
 
     Each method's parts keep their factors; a part that several have (the render) gets the mean. The loss is the mean of
-    the methods'. Settings are those that all curves reach; between its own settings a curve is interpolated.
+    the methods'. Settings lie in the range that all curves reach; between its own settings a curve is interpolated.
     """
     least = max(min(option.share for option in curve) for curve in curves)
     shares = sorted({option.share for curve in curves for option in curve if option.share >= least})

@@ -1,4 +1,4 @@
-"""What is known of options before an experiment: curves measured earlier, or those that came with novags."""
+"""Knowledge of options before an experiment: curves measured earlier, or curves that came with novags."""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -35,7 +35,7 @@ class Known:
 
 
 def known(folder: Path | None, methods: Collection[str] = ()) -> Known:
-    """The curves in a folder; without one those of `USUAL` if this machine made them, else those of novags.
+    """The curves in a folder; without one the curves of `USUAL` if this machine made them, else novags's own.
 
     Args:
         folder: The folder that is named, if any.
@@ -90,7 +90,7 @@ def subject(point: Mapping[str, Any]) -> str:
 def options_of(points: Sequence[Point], methods: Collection[str] = ()) -> dict[str, list[Option]]:
     """The options of some curves; settings above the default are left out.
 
-    What was measured to be better than the default at less time counts as no loss: it may be chance.
+    A setting that was measured to be better than the default at less time counts as no loss: it may be chance.
 
     Args:
         points: Of one method or of several.
@@ -110,7 +110,7 @@ def _options_of(points: Sequence[Point]) -> dict[str, list[Option]]:
         if point["option"] is None:
             continue
         setting, parts, default = point["setting"], point["parts"], defaults.get(point["knob"])
-        # what has no logarithm: a setting of nothing, a part that takes less than no time
+        # numbers without a logarithm: a setting of nothing, a part that takes less than no time
         if not isinstance(setting, int | float) or not setting > 0 or min(parts.values(), default=0) < 0:
             raise ValueError(f"the settings of {point['knob']} must be numbers > 0 and the seconds of its parts >= 0, "
                              f"got {brief(setting, 60)} and {brief(parts, 100)}")  # fmt: skip

@@ -38,7 +38,7 @@ State = dict[str, Any]
 
 @dataclass(frozen=True)
 class Request:
-    """What is asked for.
+    """The experiment and its budget.
 
     Attributes:
         preset: The experiment that the budget is compared with.
@@ -73,11 +73,11 @@ class Budget:
     """An experiment under way.
 
     Attributes:
-        request: What is asked for.
-        out: Its folder; `budget.json` in it has what was chosen, predicted and taken.
-        console: Where is said what is chosen.
+        request: The experiment and its budget.
+        out: Its folder; `budget.json` in it has the choice, the prediction and the time taken.
+        console: Where the choice is shown.
         start: When it began, without the time between its calls.
-        state: What is chosen.
+        state: The choice.
         tried: What the choice was made of: the trial's forecast, what there is to choose, the choice; None: it was made
             by an earlier call.
     """
@@ -167,7 +167,7 @@ def within(request: Request, out: Path, console: Console, run: Run, *, overwrite
     """The settings of an experiment that the caller runs in the block; an interrupted one goes on with its own.
 
     Args:
-        request: What is asked for.
+        request: The experiment and its budget.
         out: The experiment folder.
         console: Where notes go.
         run: What runs the trial.
@@ -187,7 +187,7 @@ def within(request: Request, out: Path, console: Console, run: Run, *, overwrite
         over = "seconds" in found.state
         try:
             yield found
-        except BaseException:  # what all calls together took is what is compared with the budget
+        except BaseException:  # the budget is compared with the time of all calls together
             with suppress(OSError, ValueError):  # such as a full disk: the first error is the one to report
                 if not over:
                     found.write(spent=found.spent)
@@ -230,10 +230,10 @@ def _shares(choice: Choice) -> dict[str, float]:
 
 
 def earlier(request: Request, out: Path, console: Console, overwrite: bool) -> State | None:
-    """What is gone on with, if it is; refuses to replace another experiment unless `overwrite`."""
+    """The earlier choice to go on with, if there is one; refuses to replace another experiment unless `overwrite`."""
     state = begun(request, out)
     if state is not None:
-        console.note(f"budget: going on with what was chosen before ({out / RECORD})")
+        console.note(f"budget: going on with the earlier choice ({out / RECORD})")
     elif (out / EXPERIMENT).exists() and not overwrite:
         raise ValueError(f"{out} holds a finished experiment of another request: choose another --out, or add "
                          "--overwrite to replace it")  # fmt: skip
@@ -259,7 +259,7 @@ def begun(request: Request, out: Path) -> State | None:
 
 
 def told(request: Request, out: Path, console: Console, *, overwrite: bool = False) -> tuple[Preset | None, list[str]]:
-    """What `within` would do: the settings that are chosen already, if they are, and what is to be said.
+    """What `within` would do: the settings that are chosen already, if they are, and the lines to show.
 
     Raises:
         ValueError: As `within`, but for what the trial would show.

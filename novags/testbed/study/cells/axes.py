@@ -62,7 +62,7 @@ class Changes:
         return Changes(**{name: {**mine[name], **more[name]} for name in mine})
 
     def names(self) -> dict[str, str]:
-        """What they set, by one name whichever key does, and the key."""
+        """The settings they change, by one name whichever key does, and the key."""
         stages, found = {place: f"{stage}." for stage, place in STAGES.items()}, dict[str, str]()
         for place, settings in vars(self).items():
             for name in settings:
@@ -75,7 +75,7 @@ class Changes:
         return [key for key in OF_RENDER if _keyword(key) in self.adapted] + [f"render.{key}" for key in self.render]
 
     def without_render(self) -> "Changes":
-        """What is left of them for a set that is there already."""
+        """The rest of them for a set that is there already."""
         kept = {name: value for name, value in self.adapted.items() if name not in map(_keyword, OF_RENDER)}
         return replace(self, adapted=kept, render={})
 
@@ -102,7 +102,7 @@ def changes_of(key: str, value: Any, folder: Path, data: Mapping[str, Path] | No
     Args:
         key: Of [grid] (but "rig", which stands for several keys), [override] or [rig.NAME].
         value: As TOML holds it.
-        folder: Where relative paths start: that of the study file.
+        folder: Where relative paths start: the study file's folder.
         data: The scenes of data sets that are there: "LOM/buu" and its folder.
 
     Raises:
@@ -110,7 +110,7 @@ def changes_of(key: str, value: Any, folder: Path, data: Mapping[str, Path] | No
     """
     stage, dot, name = key.partition(".")
     if key == "capture.seed":
-        raise ValueError("the seed of the noise is that of the run: write seed")
+        raise ValueError("the noise has the seed of the run: write seed")
     if dot and stage in STAGES:
         return Changes(**{STAGES[stage]: {name: _whole_path_of_stage(key, value, folder)}})
     if key == "scene" and (name := _text(value)).startswith(DATA):
@@ -125,7 +125,7 @@ def changes_of(key: str, value: Any, folder: Path, data: Mapping[str, Path] | No
     known = (*known_keys(), *(name for method in METHODS.values() for name in flattened(method.config())))
     near = get_close_matches(key, known, 1)
     hint = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(known_keys())}, settings of methods, "
-    hint += "" if near else "and those of stages as render.NAME, capture.NAME and import.NAME"
+    hint += "" if near else "and settings of stages as render.NAME, capture.NAME and import.NAME"
     raise ValueError(f"there is no such key; {hint}")
 
 
@@ -217,7 +217,7 @@ def _text(value: Any) -> str:
 def applied(base: Preset, changes: Changes, variants: tuple[Variant, ...] = ()) -> Preset:
     """The preset with all changes.
 
-    A seed is that of the noise and of training. The render keeps its own, so that one set serves all seeds.
+    A seed counts for the noise and for training. The render keeps its own, so that one set serves all seeds.
 
     Raises:
         ValueError: If a value is out of range or does not go with another.

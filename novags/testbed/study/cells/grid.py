@@ -44,7 +44,7 @@ class Cell:
 
     values: dict[str, Value]
     preset: Preset
-    measured: Measurement | None = None  # what is, of a study of measurements
+    measured: Measurement | None = None  # the measurement, of a study of measurements
 
     @property
     def label(self) -> str:
@@ -272,11 +272,11 @@ class _Reader:
             shared = shared.without_render()  # it is for the scenes that are rendered
             if named := own.of_render():
                 raise ValueError(f"{self.path}: [grid]: {', '.join(named)} belong to a render, and {scene} is "
-                                 "photographed as it is: put it into a study of its own")  # fmt: skip
+                                 "photographed unchanged: put it into a study of its own")  # fmt: skip
         if "dark" in given:  # what [override] says of the capture is for the other scenes
             if named := own.of_capture():
                 raise ValueError(f"{self.path}: [grid]: {', '.join(named)} belong to a simulated exposure, and {scene} "
-                                 "is dark as it is: put it into a study of its own")  # fmt: skip
+                                 "is dark already: put it into a study of its own")  # fmt: skip
         try:
             return applied(self.base, shared.and_(own), self.variants)
         except ValueError as error:

@@ -24,7 +24,7 @@ class Level:
         sensor: Name of a camera of `sensor_model.PRESETS`.
         electrons: Mean signal of the green channel over the set, e- per pixel and exposure.
         pictures: What methods that can take either are given: 8-bit sRGB, or linear 16-bit.
-        title: What it stands for, in a sentence.
+        title: Its meaning, in a sentence.
         source: The paper's words on the data set.
     """
 

@@ -25,7 +25,7 @@ def plans(
     what: str, store: Path, console: Console, *, knobs: Sequence[str] = (), quick: bool = False,
     repeats: int | None = None,
 ) -> list[Plan]:  # fmt: skip
-    """What there is to measure, and what is measured already.
+    """Measurements to make, and finished ones.
 
     Args:
         what: A subject, "all", or a study file of one's own.
@@ -33,7 +33,7 @@ def plans(
         console: Where notes go.
         knobs: Those to measure; none: all. What the store has of others is kept.
         quick: With small sizes.
-        repeats: Seeds, 0 to repeats - 1; None: those of the file. What the store has of further ones is kept.
+        repeats: Seeds, 0 to repeats - 1; None: the file's. What the store has of further ones is kept.
 
     Raises:
         ValueError: If there is no such subject or knob.
@@ -61,7 +61,7 @@ def _with_kept(name: str, quick: bool, seeds: Sequence[int] | None, store: Path,
 
 
 def subject_of(plan: Plan) -> str:
-    """The name of what is measured."""
+    """The name of the subject."""
     return str(plan.study.table["measure"]["subject"])
 
 

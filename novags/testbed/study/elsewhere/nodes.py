@@ -1,4 +1,4 @@
-"""Entries whose store is at a URL: a node fetches what it lacks to a folder of its own, works there, and sends."""
+"""Entries whose store is at a URL: a node fetches missing inputs to a folder of its own, works there, and sends."""
 
 import re
 import secrets
@@ -113,12 +113,12 @@ def known(plan: Plan, remote: Remote, folder: Path) -> dict[str, Outcome]:
         folder: Where the seals and scores go, laid out as a store.
 
     Returns:
-        The outcome of each entry whose seal is there and fits those of what it is made from. That its other files are
-        as they were is seen when they are needed.
+        The outcome of each entry whose seal is there and fits the seals of its inputs. Changes of its other files are
+        noticed when they are needed.
     """
     names = {kind: remote.names(kind) for kind in {task.kind for task in plan.tasks.values()}}
     found: dict[str, Outcome] = {}
-    for key, task in plan.tasks.items():  # each comes after what it needs
+    for key, task in plan.tasks.items():  # each comes after the tasks it needs
         if task.name not in names[task.kind] or not all(need in found for need in task.needs):
             continue
         made_of = {**{need: found[need].said["content"] for need in task.needs}, **depends(task)}

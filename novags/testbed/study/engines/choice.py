@@ -21,12 +21,12 @@ from novags.testbed.study.plan import Plan
 from sensor_model.files.atomic import write_text
 from sensor_model.files.door import read_text
 
-MARKER = ".novags-store"  # in a store that nodes share: what they see must be the same folder
+MARKER = ".novags-store"  # in a store that nodes share: all must see the same folder
 
 
 @dataclass(frozen=True)
 class Work:
-    """A study and what is predicted of its tasks.
+    """A study and the predictions of its tasks.
 
     Attributes:
         plan: The study.
@@ -88,7 +88,7 @@ class OneMachine:
     Attributes:
         places: Processes at a time.
         cores: Threads of each.
-        ahead: Workers that have been started already; those that have other threads are not used.
+        ahead: Workers that have been started already; workers with another number of threads are not used.
     """
 
     places: int
@@ -97,7 +97,7 @@ class OneMachine:
 
     @staticmethod
     def shared(runs: int, wanted: int | None, ahead: Sequence[Worker] = ()) -> "OneMachine":
-        """All cores, divided among processes. What is done already does not change them, so that bits stay the same.
+        """All cores, divided among processes. Finished work does not change their number, so that bits stay the same.
 
         Args:
             runs: Of the study.

@@ -1,4 +1,6 @@
-"""Many jobs on the nodes of a Ray cluster. Ray schedules, retries and moves results; what can start is decided here."""
+"""Many jobs on the nodes of a Ray cluster. Ray schedules, retries and moves results; the choice of jobs to start is
+made here.
+"""
 
 import logging
 import os
@@ -19,7 +21,7 @@ from sensor_model.files.atomic import appending
 from sensor_model.files.reading import brief
 
 LOOK = 0.5  # s between two looks at what the nodes say
-AHEAD = 2  # tasks handed to Ray for each that can run: nodes do not wait, and what is urgent does not queue for long
+AHEAD = 2  # tasks handed to Ray for each that can run: nodes do not wait, and urgent tasks do not queue for long
 NODES_EVERY = 10.0  # s between two looks at which nodes there are
 TELL_EVERY = 2.0  # s between two reports of a task
 
@@ -32,7 +34,7 @@ class Terms:
         resources: Of a job by its key, as Ray calls them: CPU, GPU, and memory in bytes if the user said how much.
         memory: Bytes that it will take at its peak, where the user did not.
         seconds: That it will take.
-        order: Of the jobs that can start, the one with the largest goes first.
+        order: Of the jobs that can start, the job with the largest number goes first.
         retries: Times that a job is tried again after its process or its node was lost.
         address: Of the cluster; None: `RAY_ADDRESS`, one that runs on this machine, or else one started here.
     """
@@ -51,7 +53,7 @@ class Cluster:
 
     Attributes:
         place: MODULE:FUNCTION that does a job, see `worker`.
-        request: What a node is sent for a job, from its key and the results of those that it needs: "task", "marker"
+        request: The message to a node for a job, from its key and the results of the jobs it needs: "task", "marker"
             (see `node.do`), and "log", where its output goes on this machine.
         terms: What jobs ask for.
         watcher: Hears when tasks start, proceed and end.
@@ -72,15 +74,15 @@ class Cluster:
         self.queue = Queue(self.watcher, self.terms.order)
 
     def run(self, jobs: Iterable[Job], known: Mapping[str, Outcome] | None = None) -> dict[str, Outcome]:
-        """Do all jobs, each after those that it needs; returns how each ended.
+        """Do all jobs, each after the jobs it needs; returns how each ended.
 
         Args:
             jobs: The jobs.
             known: How some of them have ended before; they are not tried.
 
         Raises:
-            OSError: If no cluster is found, or a node cannot go on, for example because a disk is full. What is
-                finished is kept.
+            OSError: If no cluster is found, or a node cannot go on, for example because a disk is full. Finished work
+                is kept.
         """
         jobs = list(jobs)
         self._needs = {job.key: job.needs for job in jobs}
@@ -152,7 +154,7 @@ class Cluster:
             )
 
     def _hear(self, ray: Any, board: Any) -> None:
-        """Wait a little for results, and take those that came."""
+        """Wait a little for results, and take all that came."""
         if not self._refs:
             time.sleep(LOOK)  # another process is at work on all that is left
         else:
@@ -219,7 +221,7 @@ class Board:
         self.said.append((key, where, message))
 
     def take(self) -> list[tuple[str, str, Any]]:
-        """What has been said since."""
+        """The new output since."""
         said, self.said = self.said, []
         return said
 

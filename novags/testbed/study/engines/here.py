@@ -1,4 +1,4 @@
-"""One task after another in this process, which shows what it does as it goes: the default of `novags run`."""
+"""One task after another in this process, which shows its progress: the default of `novags run`."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

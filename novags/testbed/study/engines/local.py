@@ -11,20 +11,20 @@ from novags.testbed.study.engines.processes import Worker
 from novags.testbed.study.engines.queue import Job, Queue, Watcher, lateness
 from novags.testbed.study.engines.worker import Outcome
 
-LOOK = 0.5  # s between two looks at what is free
+LOOK = 0.5  # s between two looks at the free memory
 STOP = 10.0  # s that workers get to mark how far they are
 MARGIN = 1.2  # times the predicted memory is kept free for a job
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What a pool may use, and what it knows of jobs by their keys.
+    """What a pool may use, and its knowledge of jobs by their keys.
 
     Attributes:
         workers: Processes at a time.
         memory: Bytes that a job will take at its peak.
         seconds: That it will take.
-        order: Of the jobs that can start, the one with the largest goes first.
+        order: Of the jobs that can start, the job with the largest number goes first.
     """
 
     workers: int
@@ -39,11 +39,11 @@ class Pool:
 
     Attributes:
         place: MODULE:FUNCTION that does a job, see `worker`.
-        request: What a worker is sent for a job, from its key and the results of those that it needs.
+        request: The message to a worker for a job, from its key and the results of the jobs it needs.
         limits: What may be used.
         watcher: Hears when tasks start, proceed and end.
-        environment: Variables of the workers, beside those of this process.
-        workers: Those that there are; they end with the pool.
+        environment: Variables of the workers, beside this process's own.
+        workers: The present workers; they end with the pool.
     """
 
     place: str
@@ -58,7 +58,7 @@ class Pool:
         self.queue = Queue(self.watcher, self.limits.order)
 
     def run(self, jobs: Iterable[Job], known: Mapping[str, Outcome] | None = None) -> dict[str, Outcome]:
-        """Do all jobs, each after those that it needs; returns how each ended.
+        """Do all jobs, each after the jobs it needs; returns how each ended.
 
         Args:
             jobs: The jobs.
@@ -116,7 +116,7 @@ class Pool:
         return MARGIN * self.limits.memory(key)
 
     def _hear(self) -> None:
-        """Wait a little for messages, and take those that came."""
+        """Wait a little for messages, and take all that came."""
         if not self.workers:
             time.sleep(LOOK)  # another process is at work on all that is left
         told = wait([worker.connection for worker in self.workers], LOOK)
@@ -149,7 +149,7 @@ class Pool:
         worker.connection.close()
         said = worker.death()
         if not worker.ready:
-            raise OSError(f"a worker could not start: {said}; what it printed stands above")
+            raise OSError(f"a worker could not start: {said}; its output stands above")
         if worker.key is not None:
             self.queue.end(worker.key, Outcome("failed", said))
 

@@ -21,7 +21,7 @@ class Needs:
     Attributes:
         cpus: Cores, which are the threads that it uses.
         gpus: GPUs, or a part of one; with 0 it sees none.
-        memory: Bytes; None: what it is predicted to take, with a margin.
+        memory: Bytes; None: the prediction, with a margin.
     """
 
     cpus: int = 1
@@ -76,6 +76,6 @@ def fits(asked: Mapping[str, float], node: Mapping[str, float]) -> bool:
 
 
 def resources(needs: Needs) -> dict[str, float]:
-    """What was said that a task asks for, as Ray calls resources; memory only if it was."""
+    """The stated needs of a task, as Ray calls resources; memory only if it was stated."""
     asked = {"CPU": float(needs.cpus), "GPU": needs.gpus}
     return asked if needs.memory is None else {**asked, "memory": float(math.ceil(needs.memory))}

@@ -29,7 +29,7 @@ class Lost(Exception):
 
     Args:
         said: How it ended.
-        log: What it had printed.
+        log: Its output so far.
     """
 
     def __init__(self, said: str, log: str) -> None:
@@ -39,18 +39,18 @@ class Lost(Exception):
 
 @dataclass(frozen=True)
 class Done:
-    """What a node sends back: how a task ended, what it printed, and where it was done."""
+    """What a node sends back: how a task ended, its output, and where it was done."""
 
     outcome: Outcome
     log: str
     node: str
 
 
-_kept: dict[tuple[Any, ...], Worker] = {}  # at most one, by what it was started with
+_kept: dict[tuple[Any, ...], Worker] = {}  # at most one, by its settings
 
 
 def do(place: str, request: Mapping[str, Any], environment: Mapping[str, str], tell: Tell) -> tuple[Outcome, str]:
-    """Do a task; returns how it ended and what it printed.
+    """Do a task; returns how it ended and its output.
 
     Args:
         place: MODULE:FUNCTION that does it, see `worker`.

@@ -69,7 +69,7 @@ class StudyProgress:
             self.bars.update(self.lines[key], completed=k, total=n or None, what=shown(f"{stage} {at}"))
 
     def close(self) -> None:
-        """Leave the terminal as it was."""
+        """Restore the terminal."""
         if self.bars is not None:
             self.bars.stop()
 

@@ -40,7 +40,7 @@ class Knob:
 
     Attributes:
         name: Unique in its subject.
-        settings: What is measured, from the fastest on.
+        settings: The measured settings, from the fastest on.
         default: One of them.
         unit: Of the error.
         of: What the seconds are of: "a view".
@@ -79,9 +79,9 @@ class Subject:
 
     Attributes:
         name: render, sensor, ...
-        workload: What they are measured on: scene, sizes, counts. Points of two workloads never meet in one curve.
+        workload: The work they are measured on: scene, sizes, counts. Points of two workloads never meet in one curve.
         knobs: In the order of the page.
-        modules: The modules that measure, and those of the rows that they use.
+        modules: The modules that measure, and the modules of the rows that they use.
         pictured: The experiment whose capture a seed is measured on; None: none is needed.
     """
 

@@ -20,7 +20,7 @@ SHAPE = {"seconds": float, "cpu_seconds": float, "error": float, "parts": {"*": 
 
 @dataclass(frozen=True)
 class Measurement:
-    """What is measured: a setting of a knob of a subject with a seed."""
+    """One thing to measure: a setting of a knob of a subject with a seed."""
 
     of: str  # name of the subject
     sizes: Sizes
@@ -56,7 +56,7 @@ def measure(out: Path, config: Measurement, captured: Path | None, console: Cons
 
     Args:
         out: Its folder.
-        config: What is measured.
+        config: The thing to measure.
         captured: The capture of the seed, of a subject that is measured on one.
         console: Where progress goes.
     """

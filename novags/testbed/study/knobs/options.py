@@ -17,9 +17,8 @@ WORDS = {
 
 
 def values(preset: Preset) -> dict[str, int]:
-    """What a preset has for each option.
-
-    Those that its source does not have, nor any of its methods unless a variant decides them itself, are missing.
+    """What a preset has for each option. Options are missing if neither its source has them nor any of its methods,
+    unless a variant decides them itself.
     """
     plans = [preset.reconstruct(name) for name in preset.methods]
     found: dict[str, int | None] = {

@@ -35,7 +35,7 @@ def sensor(side: int) -> Subject:
 
 
 def _timed(take: Callable[[], Any], error: Callable[[Any], float], pixels: int) -> Measured:
-    """Seconds per megapixel of `take`, and the error of what it gives."""
+    """Seconds per megapixel of `take`, and the error of its result."""
     found = error(take())
     wall, cpu = fastest(take, CALLS)
     return Measured(wall / pixels * 1e6, cpu / pixels * 1e6, found)
@@ -56,7 +56,7 @@ def _knob(name: str, settings: tuple[Setting, ...], default: Setting, unit: str,
 
 
 def _shot(level: float, side: int) -> Knob:
-    """Normal for Poisson. Error: Kolmogorov distance of the codes to those of exact frames with other seeds."""
+    """Normal for Poisson. Error: Kolmogorov distance of the codes to the codes of exact frames with other seeds."""
     light = np.full((side, side), level / PLAIN.eta)
 
     def measured(shot: Any, seed: int) -> Measured:
@@ -91,7 +91,7 @@ def _light(side: int) -> Knob:
 
 
 def _precision(side: int) -> Knob:
-    """Width of the arithmetic. Error: share of the codes that differ from those of float64, all by one."""
+    """Width of the arithmetic. Error: share of the codes that differ from float64's, all by one."""
     light = _random_light(side)
 
     def measured(precision: Any, seed: int) -> Measured:

@@ -81,7 +81,7 @@ def in_child(order: dict[str, Any], code: str) -> dict[str, Any]:
     """What the child process says.
 
     Args:
-        order: What it has to do.
+        order: Its work.
         code: Name of the folder for compiled kernels, in the user's own cache: machine code in the folder of the
             measurements would run whoever had made that folder.
 
