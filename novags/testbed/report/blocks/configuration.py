@@ -14,7 +14,7 @@ def failed(material: Material, page: Page) -> dict[str, Any] | None:
     """The runs of a study that failed, and what could not be computed, with the reasons."""
     rows = [row for row in material.rows if row["state"] in ("failed", "skipped")]
     reasons = {f"run {row['run']}, {row[METHOD]}{''.join(f', {axis} {row[axis]}' for axis in material.varied)}":
-               f"{'what it needs has failed: ' if row['state'] == 'skipped' else ''}"
+               f"{'a task it needs has failed: ' if row['state'] == 'skipped' else ''}"
                f"{row.get('reason') or 'no reason is known'}" for row in rows}  # fmt: skip
     skipped = any(row["state"] == "skipped" for row in rows)
     facts = {**reasons, **material.unavailable}

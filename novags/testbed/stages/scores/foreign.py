@@ -99,8 +99,8 @@ class Truth:
         if not self.capture.holds("truth"):
             raise ValueError(f"{self.path}: {MISSING['truth']}")
         if demosaiced and not self.capture.demosaiced:
-            raise ValueError(f"the reference {reference} belongs to a simulated camera with a colour filter array, and the "
-                             f"camera of {self.path} is another: use {reference.partition('_')[0]}")  # fmt: skip
+            raise ValueError(f"the reference {reference} belongs to a simulated camera with a colour filter array, and "
+                             f"the camera of {self.path} is another: use {reference.partition('_')[0]}")  # fmt: skip
         read = self.capture.clean_linear if reference in LINEAR else self.capture.clean
         return partial(read, demosaiced=demosaiced)
 
