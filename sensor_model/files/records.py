@@ -6,7 +6,7 @@ A shape is
     str, bool, dict, list, None   a value of that type
     int, float                    a whole number below 2**63; a finite number, in floating point
     Numbers(3, 3)                 finite numbers in rows of that size
-    {"a": shape, "b?": shape}     an object with these entries, those with "?" optional; others are left alone
+    {"a": shape, "b?": shape}     an object with these entries; "?" marks optional ones; others are left alone
     {"*": shape}                  an object whose entries all have the shape
     [shape]                       a list of any length
     (shape, shape)                any of these
@@ -46,10 +46,10 @@ class Numbers:
 
 @dataclass(frozen=True)
 class Read:
-    """A JSON file as it was when it was opened.
+    """A JSON file in its state when it was opened.
 
     Attributes:
-        value: What it holds. All readers share it, so none changes it.
+        value: Its content. All readers share it, so none changes it.
         hash: blake2b of its bytes.
         stamp: As `stamp_of` gave it.
     """
@@ -68,7 +68,7 @@ _reads: ContextVar[Reads | None] = ContextVar("reads", default=None)
 def read_once(reads: Reads) -> Iterator[Reads]:
     """While the block runs, a JSON file that `reads` holds is not opened again, and one that is opened is held there.
 
-    So what is checked, hashed and used are the same bytes, whoever writes to the file meanwhile.
+    So the same bytes are checked, hashed and used, whoever writes to the file meanwhile.
     """
     token = _reads.set(reads)
     try:
@@ -88,7 +88,7 @@ def read_record(path: Path, shape: Shape = dict, remedy: str = "correct it or pu
 
     Args:
         path: The file.
-        shape: What it must look like.
+        shape: The shape it must have.
         remedy: What the user can do about a file that does not.
 
     Raises:
@@ -202,7 +202,7 @@ def check_shape(value: Any, shape: Shape, where: str, remedy: str = "") -> None:
     """Refuse a value of another shape.
 
     Raises:
-        ValueError: Naming the place of the first difference, what must be there and what is.
+        ValueError: Naming the place of the first difference, the value required and the value found.
     """
     found = _difference(value, shape, "")
     if found is not None:

@@ -13,7 +13,7 @@ DASHES = 4  # patterns of lines, one after the other: colours alone do not tell 
 Series = Mapping[str, Sequence[tuple[float, float]]]
 # Name, CSS class, and points of a line: x and y in the picture, then their values as text.
 Told = tuple[str, str, Sequence[tuple[float, float, str, str]]]
-Ticks = Iterable[tuple[float, str]]  # values, and what is said of them
+Ticks = Iterable[tuple[float, str]]  # values, and their labels
 
 
 def scale(low: float, high: float, of: Callable[[float], float] = float) -> Callable[[float], float]:

@@ -29,7 +29,7 @@ class Place:
     lit: Source  # the set it was made from
     runs: dict[str, Run]  # by the names that a page gives them
     metrics: dict[str, Any]  # their scores, see `merged`
-    views: Sequence[int] = ()  # those of which a page has pictures
+    views: Sequence[int] = ()  # the views of which a page has pictures
 
     @property
     def title(self) -> str:
@@ -73,7 +73,7 @@ class Place:
 
 
 def command_of(folder: Path) -> str | None:
-    """The command that made an experiment; None of what is none."""
+    """The command that made an experiment; None of other folders."""
     path = folder / EXPERIMENT
     found: str | None = read_json(path, shapes.EXPERIMENT)["command"] if path.exists() else None
     return found

@@ -1,4 +1,4 @@
-"""Image files of any kind: their size from the header, and their pixels, with a limit on what is decoded."""
+"""Image files of any kind: their size from the header, and their pixels, with a limit on decoding."""
 
 from __future__ import annotations
 
@@ -196,7 +196,7 @@ def _premultiplied(file: Path) -> bool:
 def _codes_with_alpha(file: Path) -> NDArray[np.float32]:
     """Codes [h,w,4] as stored, of a picture that PIL holds in 8 bits, red first, alpha last."""
     with header(file) as image:
-        if (mode := image.mode) == "La":  # gray multiplied by alpha, which PIL cannot convert as it is
+        if (mode := image.mode) == "La":  # gray multiplied by alpha, which PIL cannot convert directly
             return np.asarray(image, dtype=np.float32)[..., [0, 0, 0, 1]]
         if not mode.startswith(("I", "F")):  # of more bits, which PIL would cut off
             return np.asarray(image.convert("RGBA"), dtype=np.float32)

@@ -41,7 +41,7 @@ class Tag:
 
 
 def tiff_tags(file: Path) -> dict[int, Tag]:
-    """Those of `TAGS` that the first picture of a TIFF file has; none of a file that is damaged or of another kind.
+    """The members of `TAGS` in the first picture of a TIFF file; none of a file that is damaged or of another kind.
 
     Raises:
         OSError: If it cannot be read.

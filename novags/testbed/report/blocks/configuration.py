@@ -11,7 +11,7 @@ from novags.testbed.study.light import METHOD
 
 
 def failed(material: Material, page: Page) -> dict[str, Any] | None:
-    """The runs of a study that failed, and what could not be computed, with the reasons."""
+    """The failed runs of a study, and scores that could not be computed, with the reasons."""
     rows = [row for row in material.rows if row["state"] in ("failed", "skipped")]
     reasons = {f"run {row['run']}, {row[METHOD]}{''.join(f', {axis} {row[axis]}' for axis in material.varied)}":
                f"{'a task it needs has failed: ' if row['state'] == 'skipped' else ''}"

@@ -140,7 +140,7 @@ def _points(points: Sequence[Point], x: Axis, y: Axis) -> list[str]:
 
 
 def _label(text: str, x: float, y: float, taken: list[tuple[float, float, float]]) -> str:
-    """Beside its point where no other label or point is; `taken` are (left, top, width) of what is there already."""
+    """Beside its point where no other label or point is; `taken` are (left, top, width) of the labels there already."""
     wide = 6.2 * len(text) + 2
     places = [(x + 9, y + 4), (x - 9 - wide, y + 4), (x - wide / 2, y - 11), (x - wide / 2, y + 20), (x + 7, y - 9),
               (x + 7, y + 16), (x - 7 - wide, y - 9), (x - 7 - wide, y + 16)]  # fmt: skip
