@@ -22,9 +22,9 @@ INTERRUPTED = "interrupted; the same command again continues where this one stop
 def errors_in_one_line() -> Iterator[None]:
     """Around a command.
 
-    Wrong input gives one line on standard error and exit code 2; what the system refuses, and what novags did not
-    expect, one line and 1. NOVAGS_TRACEBACK=1 shows the whole traceback instead. A command whose output
-    nobody reads any more, as in `novags list | head -1`, says nothing and ends with 141, as SIGPIPE would end it.
+    Wrong input gives one line on standard error and exit code 2; a refusal of the system, or an error that novags did
+    not expect, one line and 1. NOVAGS_TRACEBACK=1 shows the whole traceback instead. A command whose output nobody
+    reads any more, as in `novags list | head -1`, says nothing and ends with 141, as SIGPIPE would end it.
     """
     try:
         _check_words(sys.argv[1:])
@@ -71,7 +71,7 @@ def _end_if_nobody_reads() -> None:
 
 
 def explained(error: BaseException) -> str:
-    """What happened, the file it was about and what to do; the traceback goes to a file."""
+    """The error, the file it was about and a remedy; the traceback goes to a file."""
     about = file_of(error)
     where = f" (at {about})" if about else ""
     said = _brief(error, 300)

@@ -1,4 +1,4 @@
-"""What every command takes, `--allow-links` and `--verify`, and what its words say of where links may lead."""
+"""Options of every command, `--allow-links` and `--verify`, and the folders that its words let links lead to."""
 
 import os
 from collections.abc import Iterator, Sequence

@@ -62,10 +62,10 @@ def run(
         sensor: A camera of sensor_model.PRESETS, or a TOML file of your own.
         electrons: Mean signal of the green channel over the set, electrons per pixel and exposure.
         budget: Time that everything may take, 120s, 5min, 1h: iterations, Gaussians, denoiser steps, samples and size
-            are chosen to lose least against the preset, except the settings given here. What that is expected to cost
-            is said before; see docs/accuracy-and-time.md.
-        curves: With a budget: folder of what `novags pareto METHOD` measured; if not given, what out/pareto has of this
-            machine, for other methods the curves that came with novags.
+            are chosen to lose least against the preset, except the settings given here. The expected loss is said
+            before; see docs/accuracy-and-time.md.
+        curves: With a budget: folder of the curves of `novags pareto METHOD`; if not given, the curves of this machine
+            in out/pareto, for other methods the curves that came with novags.
         out: Folder of the experiment; if not given, out/PRESET, with scene, electrons and budget where they are given.
         methods: Methods and variants to compare; `novags list methods` names them.
         variant: A method with settings changed, NAME=METHOD:SETTING=VALUE,SETTING=VALUE, compared as well; may be given
@@ -92,7 +92,7 @@ def run(
         overwrite: Replace finished results of another request in the same folder.
         wait: If another process is writing there, wait until it is done instead of refusing.
         dry_run: Only say which stages would be done, or done again and why. Nothing is written. With a budget whose
-            settings are not chosen yet: what would be tried, and what would be chosen from.
+            settings are not chosen yet: the trial to do, and the settings to choose from.
     """
     from novags.testbed.report.page import write_report
     from novags.testbed.study import place

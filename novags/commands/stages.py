@@ -14,7 +14,7 @@ def plan(
     width: int | None = None, height: int | None = None, tolerance: float = 0.05, light_tolerance: float = 0.02,
     light: Light = LIGHT,
 ) -> None:  # fmt: skip
-    """Show what would be simulated, what would not, why, and the bound on the error of leaving it out.
+    """Show which effects would be simulated, which not, why, and the bound on the error of leaving them out.
 
     Args:
         scene: A multiview set folder, a scene of the catalogue, or a Mitsuba .xml file.

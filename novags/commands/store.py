@@ -1,4 +1,4 @@
-"""`novags store`: what a store of studies takes, and what of it can go."""
+"""`novags store`: the size of a store of studies, and the entries that can go."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -17,7 +17,7 @@ def store(
     action: Annotated[Literal["size", "prune"], tyro.conf.Positional], folder: Folder, refer: Folders = (), *,
     dry_run: bool = False,
 ) -> None:  # fmt: skip
-    """Say what a store of studies takes, or remove what no study refers to.
+    """Show the size of a store of studies, or remove entries that no study refers to.
 
     After a change of code a study makes its entries again, and the old ones stay: nothing asks for them any more.
 

@@ -1,4 +1,5 @@
-"""Is what the ledger makes again what changes? Edits one number of the sources, and makes a small study again.
+"""Does the ledger make exactly the changed results again? Edits one number of the sources, and makes a small study
+again.
 
     nice -n 10 python scripts/edits/check_edits.py --edits 200 --seed 0 --out build/edits
 

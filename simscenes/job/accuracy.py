@@ -33,7 +33,7 @@ def noise_by_brightness(channels: dict[str, NDArray[Any]]) -> list[float]:
 
 
 def claimed(noise: float, quarters: list[float], made: TransportPlan) -> dict[str, Any]:
-    """What set.json says of a view: noise and what the plan leaves out, together; nan where a plan was not asked."""
+    """The errors of a view in set.json: noise and omitted light, together; nan where a plan was not asked."""
     whole, *parts = made.bias
     both = [math.hypot(n, b) for n, b in zip(quarters, parts, strict=True)]
     return {"relative_error": noise, "error": math.hypot(noise, whole), "noise_by_brightness": quarters,

@@ -104,7 +104,9 @@ def _remove_stale(out: Path, names: list[str]) -> None:
 
 
 def finish_set(out: Path, names: list[str], rig: Rig, seed: int, views: ViewStore, scene: str) -> dict[str, Any]:
-    """Write what depends on all views together, and their depth; what set.json says about it."""
+    """Write the files that depend on all views together, and their depth; returns the entries of set.json about
+    them.
+    """
     scale = views.exposure_scale()
 
     def image(i: int) -> NDArray[np.uint8]:

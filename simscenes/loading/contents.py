@@ -1,4 +1,4 @@
-"""What a loaded scene holds, including what only its instances show."""
+"""The objects of a loaded scene, including parts that only its instances show."""
 
 from __future__ import annotations
 

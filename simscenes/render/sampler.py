@@ -111,7 +111,7 @@ def sampler_class(mi: Any, variant: str) -> Any:
             return self.next_2d()
 
         def begin_path(self) -> None:
-            """Whatever the camera needed: what comes next belongs to the first surface."""
+            """End the camera's dimensions: the next ones belong to the first surface."""
             self.drawn = u32(1)
 
         def _seed(self, number: Any) -> Any:

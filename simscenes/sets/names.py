@@ -1,4 +1,4 @@
-"""What the views of a set are called, whatever their files are called.
+"""Names of the views of a set, for any names of their files.
 
 A view's name is the stem of all its files in a set, a capture and a run, and a line of train_list.txt. Any file has
 one: its own stem where that is safe and nobody else's, else something close to it.

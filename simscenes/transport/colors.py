@@ -46,8 +46,8 @@ def color_effects(
 def polarisation_effect(p: Pilot, media: bool, geometry: list[Any], measure: bool) -> Effect:
     """Polarisation shows where two specular surfaces follow each other, and behind filters; diffuse surfaces undo it.
 
-    What filters change is always measured: without polarisation each of them passes half of the light, whatever came
-    before. Without measurements a scene given in RGB stays in RGB, with the bound from its surfaces.
+    The effect of filters is always measured: without polarisation each of them passes half of any light. Without
+    measurements a scene given in RGB stays in RGB, with the bound from its surfaces.
     """
     if p.base == "spectral_polarized":
         return decided(plan.POLARISATION, True, math.inf, p.allowed, f"nothing less can load it: {p.loaded.demand}")

@@ -33,8 +33,9 @@ def decided(name: str, on: bool, contribution: float, bound: float, reason: str,
 def depth_effects(p: Pilot, media: bool, most: float, forced_depth: int | None) -> tuple[int, list[Effect]]:
     """Direct or indirect, and how deep: the same paths, cut at several depths.
 
-    What a cut omits lies in an interval: from what the pilot's deepest paths still found beyond it, to three standard
-    errors more than that and what would come after them if every later bounce kept `most` of the light.
+    The light that a cut omits lies in an interval. It begins with the light that the pilot's deepest paths still found
+    beyond the cut. It ends three standard errors above, plus the light beyond these paths if every later bounce kept
+    `most` of it.
     """
     kind = "volpath" if media else "path"
     full = p.cut(kind, DEEPEST, DEEPEST)

@@ -53,7 +53,7 @@ def part(source: str, module: str) -> Any:
 
 
 def read_checkpoint(checkpoint: Path) -> Any:
-    """What a file of weights holds: of .safetensors tensors by name, else what `torch.save` wrote.
+    """The content of a file of weights: of .safetensors tensors by name, else the object that `torch.save` wrote.
 
     Of the latter only tensors, plain containers and `argparse.Namespace` are read: a pickle of anything else could run
     code, and no package's own loader, which would run it, is called.

@@ -1,4 +1,4 @@
-"""What a capture has measured, in electrons: the data that a denoiser works on, whatever camera they come from."""
+"""The measurements of a capture, in electrons: the data that a denoiser works on, from any camera."""
 
 from dataclasses import dataclass, fields, replace
 

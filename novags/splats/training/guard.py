@@ -31,7 +31,7 @@ def require_finite(what: str, tensors: Mapping[str, Tensor], where: str, *, resu
     """Raise NotFinite for the first tensor that is not finite.
 
     Args:
-        what: What the tensors are: "parameter", "gradient of".
+        what: The kind of tensors: "parameter", "gradient of".
         tensors: By name.
         where: Step and view.
         resumable: See NotFinite.

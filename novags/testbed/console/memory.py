@@ -20,7 +20,7 @@ def memory_shortage_said(what: str) -> Iterator[None]:
     """Turn every library's way to report that there is too little memory into one that says what to do.
 
     Args:
-        what: What needs the memory.
+        what: The work that needs the memory.
 
     Raises:
         MemoryError: For such an error; others pass.

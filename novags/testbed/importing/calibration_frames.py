@@ -160,7 +160,7 @@ def _stack(path: Path, files: list[_File], note: dict[str, float]) -> Stack:
 
 
 def _agreed(what: str, given: Any, found: list[Any], where: Path, default: Any) -> Any:
-    """What frames.toml gives, else what all files state, else the default."""
+    """The value in frames.toml, else the value that all files state, else the default."""
     told = {value for value in found if value is not None}
     if given is None and len(told) > 1:
         raise ValueError(f"the files in {where} differ in {what}: {', '.join(map(str, sorted(told)))}")

@@ -1,4 +1,4 @@
-"""What a store holds, and what of it nobody refers to any more.
+"""The entries of a store, and which of them nobody refers to any more.
 
 Keys depend on code: after a change the entries of before stay, and no study asks for them. A study refers to its runs,
 and an entry to the entries that it was made from.

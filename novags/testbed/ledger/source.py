@@ -1,4 +1,4 @@
-"""What one file of source says: its definitions, their tokens, and what each of them uses.
+"""The content of one file of source: its definitions, their tokens, and the names each of them uses.
 
 A definition is a statement at the top of a module. Code is compared as tokens, without comments, docstrings, layout and
 the messages of errors, so that the hash is equal under every version of Python. The rows of a `Registry` are left out:

@@ -253,7 +253,7 @@ class _Stage:
         return self.folder / UNFINISHED
 
     def _tidy(self) -> None:
-        """Remove what only unfinished work needs; what marks it goes last, so that this can be interrupted too."""
+        """Remove files that only unfinished work needs; its mark goes last, so that this can be interrupted too."""
         for name in self.scrap:
             remove(self.folder / name)
         self._unfinished.unlink(missing_ok=True)

@@ -43,9 +43,9 @@ def tone_aligned(image: Image, reference: Image) -> Image:
     becomes the reference's mean.
 
     It cannot see any increasing change of tone: too dark, too flat, a wrong gamma or white balance, and highlights or
-    shadows crushed in steps finer than the noise cost nothing. What remains is what no curve per channel can undo:
-    noise, blur, displaced structure, colours mixed across channels, tones that differ from place to place. A curve has
-    more freedom than a gain and an offset, so compare these scores with each other, never with affine-aligned ones.
+    shadows crushed in steps finer than the noise cost nothing. Errors remain that no curve per channel can undo: noise,
+    blur, displaced structure, colours mixed across channels, tones that differ from place to place. A curve has more
+    freedom than a gain and an offset, so compare these scores with each other, never with affine-aligned ones.
 
     Raises:
         ValueError: If the shapes differ or are not [h,w,3], or a value is not finite.

@@ -1,4 +1,4 @@
-"""What blocks are made of: a page in the making, and tables in one form, whatever they are on."""
+"""Parts of blocks: a page in the making, and tables, all in one form."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field

@@ -67,7 +67,9 @@ class Place:
         return next((row.name for row in self.rows.values() if row.bound == end), None)
 
     def deltas(self, kind: str) -> tuple[dict[str, float], str]:
-        """What each run has over the floor, or the first run, in the main score of a reference; and what that is."""
+        """The gain of each run over the floor, or over the first run, in the main score of a reference; and which of
+        both.
+        """
         methods = {name: run.method for name, run in self.runs.items()}
         return deltas(self.metrics["methods"], methods, kind, MAIN[kind])
 

@@ -1,4 +1,4 @@
-"""What tasks will cost: seconds, memory, disk, predicted from what finished ones in the store have cost.
+"""Costs of tasks: seconds, memory, disk, predicted from the costs of finished ones in the store.
 
 Seconds grow with the work, memory and disk with the pixels of all views, each from a constant. `DEFAULTS` are rough
 guesses, for a store that is still empty. What the store holds corrects them: a prediction is multiplied by the median

@@ -31,7 +31,7 @@ from simscenes.sets.pictures.whole import whole_content
 # 23,170 x 23,170: above any camera's (phones have 200 million), and 1.6 GB as 8-bit RGB. What a file declares beyond it
 # is refused before a byte is decoded, since a few kilobytes can declare a picture that fills any memory.
 MAX_PIXELS = 2**29
-# PIL knows some forty more, tries them on any file whatever it is called, and reserves what some of their headers say.
+# PIL knows some forty more, tries them on a file of any name, and reserves as much memory as some of their headers say.
 FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "WEBP", "PPM", "JPEG2000")
 _PIL = Lock()  # its limit is one number for the whole process
 _OPENCV = Lock()  # and so is how much OpenCV writes: the last of `_decoding` threads puts `_level` back

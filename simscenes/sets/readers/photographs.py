@@ -179,7 +179,7 @@ def _frames(source: Path) -> tuple[list[Frame], Poses, list[str]]:
 
 
 def _camera(shared: dict[str, Any], entry: dict[str, Any]) -> dict[str, Any]:
-    """What a frame says over what its file says, of which no focal length counts where the frame states one."""
+    """The frame's entries over the file's; none of the file's focal lengths counts where the frame states one."""
     own = any(key in entry for key in FOCAL)
     return {key: value for key, value in shared.items() if not (own and key in FOCAL)} | entry
 

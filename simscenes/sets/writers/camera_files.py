@@ -83,7 +83,7 @@ def write_cameras(
 
 
 def nerfbaselines_info(scene: str | None) -> dict[str, Any]:
-    """What nerfbaselines is told of a folder with a COLMAP model: its loader, and what the scene is called."""
+    """The facts for nerfbaselines about a folder with a COLMAP model: its loader, and the scene's name."""
     loader = {"loader": "colmap", "loader_kwargs": {"images_path": "images", "colmap_path": "sparse/0"}}
     return {**loader, "id": "novags", **({} if scene is None else {"scene": scene})}
 

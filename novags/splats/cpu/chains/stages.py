@@ -1,4 +1,4 @@
-"""What chains are made of: kernels whose ranges threads take as they come, and parts that one thread does alone.
+"""Stages of chains: kernels whose ranges go to the next free thread, and parts that one thread does alone.
 
 Every thread that takes part runs the whole chain. `control` counts, for each stage, the parts taken and the parts done;
 no thread goes past a stage while any part of it is still being worked on. A thread that comes late finds nothing left

@@ -1,4 +1,4 @@
-"""How to do it again: what failed, what differs from the published methods, commands, configurations, versions."""
+"""How to do it again: failures, differences from the published methods, commands, configurations, versions."""
 
 import json
 from typing import Any

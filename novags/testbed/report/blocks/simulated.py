@@ -107,7 +107,7 @@ def _most(values: Sequence[Any]) -> Any:
 
 
 def _told(plans: Sequence[Mapping[str, Any]]) -> str:
-    """Which effects cannot matter, and what all that were left out cost at most."""
+    """Which effects cannot matter, and the cost of all omitted ones at most."""
     absent = [name.replace("_", " ") for name, found in _by_name(plans).items() if not any(map(_matters, found))]
     bounds: dict[str, list[Any]] = {}
     for plan in plans:

@@ -105,7 +105,7 @@ class Album:
         return self._scripts[-1]
 
     def settle(self) -> None:
-        """Decide what goes into the page, write the rest beside it, and remove what lies there of earlier pages.
+        """Choose the pictures for the page itself, write the rest beside it, and remove files of earlier pages there.
 
         Raises:
             OSError: If it cannot be written.

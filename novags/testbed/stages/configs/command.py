@@ -98,7 +98,7 @@ class CommandConfig:
         return Variant(name=self.name, method=self.name, title=self.title)
 
     def words(self, **places: str) -> list[str]:
-        """The program and its arguments, with what `places` stand for; each stays one word, whatever it holds."""
+        """The program and its arguments, with the values of `places`; each stays one word, with any content."""
         filled = [PLACE.sub(lambda found: places[found.group(1)], word) for word in self._split()]
         return [str(self._program(filled[0])), *filled[1:]]
 

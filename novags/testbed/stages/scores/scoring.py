@@ -83,7 +83,9 @@ def _score(run_path: Path, console: Console) -> dict[str, Any]:
 
 
 def code_of_scores(run: Run, lit: Source) -> Code:
-    """What scores a run: the stage, the enhancement that its references go through, and what reads its set."""
+    """The code that scores a run: the stage, the enhancement that its references go through, and the reader of its
+    set.
+    """
     enhancer = None if run.enhancement is None else ENHANCERS.module_of(run.enhancement["enhancer"])
     return code_of(__name__, enhancer, *lit.modules)
 
@@ -225,7 +227,8 @@ def stage_seconds(run: Run, captured: Capture, lit: Source) -> dict[str, float]:
 def recovered_shares(
     scores: Mapping[str, Any], methods: Mapping[str, str]
 ) -> tuple[dict[str, dict[str, float]], dict[str, str]]:
-    """What each run wins back of what noise costs: `recovered` and `recovered_lit`, by run; and why one is not known.
+    """The share of the cost of noise that each run wins back: `recovered` and `recovered_lit`, by run; and why one is
+    not known.
 
     `recovered` = (method - floor) / (ceiling - floor) in aligned PSNR against `enhanced`, `recovered_lit` the same in
     tone-aligned PSNR against `lit`, for every run but the bounds.

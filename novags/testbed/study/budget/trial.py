@@ -210,7 +210,7 @@ def _closed(preset: Preset, small: Preset, name: str) -> list[str]:
 
 
 def _pace(known: Sequence[tuple[Parts, Parts]]) -> float | None:
-    """Times what the tables have, the slowest; None if nothing that was tried is in them."""
+    """Multiple of the tables' seconds, the slowest; None if no tried part is in them."""
     both = [[(parts[part], table[part]) for part in parts if table.get(part)] for parts, table in known]
     return max((sum(s for s, _ in pairs) / sum(t for _, t in pairs) for pairs in both if pairs), default=None)
 

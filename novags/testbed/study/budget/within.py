@@ -78,8 +78,8 @@ class Budget:
         console: Where the choice is shown.
         start: When it began, without the time between its calls.
         state: The choice.
-        tried: What the choice was made of: the trial's forecast, what there is to choose, the choice; None: it was made
-            by an earlier call.
+        tried: The basis of the choice: the trial's forecast, the options, the choice; None: it was made by an earlier
+            call.
     """
 
     request: Request

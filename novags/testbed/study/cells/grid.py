@@ -1,9 +1,9 @@
 """A study file: every combination of its axes, checked whole before anything runs.
 
-preset = "demo"                    where all that is not said comes from
+preset = "demo"                    source of all other settings
 [grid]                             axes, in this order: a value or a list of values each
 [override]                         for all runs
-[rig.NAME]                         what the value NAME of the axis "rig" stands for: views, width, height, ...
+[rig.NAME]                         meaning of the value NAME of the axis "rig": views, width, height, ...
 [variant.NAME]                     a method with settings of its own
 [method.NAME]                      a method that is a program: command, timeout, ...
 [[exclude]]                        combinations that are left out: values, or lists of values, of some axes

@@ -73,7 +73,7 @@ class Bench:
         return METHODS[self.reconstruct.variant.method].knobs
 
     def modules(self) -> tuple[str, ...]:
-        """What measures, and what the stages of every setting use."""
+        """The modules that measure, and the modules that the stages of every setting use."""
         turned = [self.preset(row, setting, 0) for row in self._declared.values() for setting in row.settings]
         plain = (self.base.render.code, self.base.capture.code, self.reconstruct.code)
         found = (*plain, *(preset.reconstruct(preset.methods[0]).code for preset in turned))
