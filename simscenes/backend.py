@@ -80,7 +80,7 @@ def _llvm_version(library: Path) -> int | None:
 
 
 def _run_probe(variant: str, library: Path | None) -> str:
-    """Try a variant in a subprocess: "" if it works, else what went wrong."""
+    """Try a variant in a subprocess: "" if it works, else the error."""
     env = dict(os.environ)
     if library is not None:
         env["DRJIT_LIBLLVM_PATH"] = str(library)
@@ -207,7 +207,7 @@ def activate(variant: str = "auto", color: str = "rgb") -> Any:
 
     if mi.variant() != name:
         _switch(mi, name)
-        # Below errors Mitsuba prints to stdout, past Python's warnings; what matters is checked on our side.
+        # Below errors Mitsuba prints to stdout, past Python's warnings; serious faults are checked on our side.
         mi.set_log_level(mi.LogLevel.Error)
     return mi
 
@@ -232,7 +232,7 @@ def using_variant(variant: str = "auto", color: str = "rgb") -> Iterator[Any]:
 
 
 def _switch(mi: Any, variant: str) -> None:
-    """Set a variant, without what Dr.Jit says from the 72nd time on about how Mitsuba loads its own Python code."""
+    """Set a variant, without Dr.Jit's warning from the 72nd time on about how Mitsuba loads its own Python code."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "The AST-transforming decorator", RuntimeWarning)
         mi.set_variant(variant)

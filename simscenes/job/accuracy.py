@@ -1,4 +1,5 @@
-"""The error that a render claims: the noise of its samples and what its plan leaves out, together and by brightness.
+"""The error that a render claims: the noise of its samples and the light its plan leaves out, together and by
+brightness.
 
 Noise is seen in the spread of independent passes. What every pass lacks is not: of that only the plan knows, from its
 pilots. Both are errors of pixels relative to a mean radiance, and add as squares: they are independent.
@@ -51,7 +52,7 @@ def noise_target(target: float, made: TransportPlan) -> float:
 
 
 def warnings_about(made: TransportPlan, target: float | None) -> list[str]:
-    """What must be said before hours are spent: light that is left out against the wish for a small error."""
+    """Warnings before hours are spent: light that is left out against the wish for a small error."""
     said = []
     if made.bound > made.tolerance:
         worst = max((e for e in made.effects if not e.on and e.unit == UNIT), key=lambda e: e.contribution)

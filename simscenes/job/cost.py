@@ -1,4 +1,4 @@
-"""What a render costs: seconds per stage, predicted seconds, peak memory, versions behind the numbers."""
+"""The cost of a render: seconds per stage, predicted seconds, peak memory, versions behind the numbers."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def peak_bytes() -> int:
 
 
 def versions() -> dict[str, str]:
-    """Versions of what the pixels depend on."""
+    """Versions of the packages that the pixels depend on."""
     return {p: importlib.metadata.version(p) for p in ("mitsuba", "drjit", "numpy")} | {
         "python": sys.version.split()[0]
     }

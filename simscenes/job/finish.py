@@ -39,7 +39,7 @@ class ViewStore:
     Args:
         folder: An empty folder for them.
         rig: The cameras.
-        camera: As in `Optics`. What its filters see becomes linear sRGB again, for display only.
+        camera: As in `Optics`. The light behind its filters becomes linear sRGB again, for display only.
     """
 
     def __init__(self, folder: Path, rig: Rig, camera: str | None) -> None:
@@ -95,7 +95,7 @@ def view_store(out: Path, rig: Rig, camera: str | None) -> Iterator[ViewStore]:
 
 
 def _remove_stale(out: Path, names: list[str]) -> None:
-    """Remove what another set in this folder has left: pictures of more views, and its other layouts."""
+    """Remove files that another set in this folder has left: pictures of more views, and its other layouts."""
     for folder in (DEPTHS, *EXPORTS):
         remove(out / folder)
     for picture in (out / "images").glob("*.png"):

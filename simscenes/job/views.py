@@ -22,13 +22,13 @@ from simscenes.sets.pictures.exr import write_exr
 from simscenes.sets.writers.camera_files import write_json
 from simscenes.transport.plan import TransportPlan
 
-QUARTERS = "noise by brightness"  # beside what a header holds; not in the file, since it follows from the pixels
+QUARTERS = "noise by brightness"  # beside the header's entries; not in the file, since it follows from the pixels
 Progress = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True)
 class Job:
-    """What every view of one call shares."""
+    """The data that all views of one call share."""
 
     method: Method
     plan: TransportPlan

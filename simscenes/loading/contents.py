@@ -31,7 +31,7 @@ def patterned_sky(scene: Any) -> bool:
 
 
 def parameters_in(scene: Any, mi: Any) -> dict[str, Any]:
-    """What `mi.traverse` finds in a loaded scene, by name, without optional parameters that are not set.
+    """The parameters that `mi.traverse` finds in a loaded scene, by name, without optional parameters that are not set.
 
     A hair without its own absorption has such a one, and Mitsuba fails to read it.
     """

@@ -18,7 +18,7 @@ KEPT = ("max_depth", "rr_depth", "hide_emitters")
 
 @dataclass(frozen=True)
 class OwnIntegrator:
-    """What a scene's own integrator asks for.
+    """The settings of a scene's own integrator.
 
     Attributes:
         kind: Its type.
@@ -43,7 +43,7 @@ class OwnIntegrator:
 
 
 def own_integrator(found: Iterable[tuple[str, Mapping[str, Any]]]) -> OwnIntegrator | None:
-    """What the first integrator among some plugins asks for, from (type, parameters) in the order of the scene."""
+    """The settings of the first integrator among some plugins, from (type, parameters) in the order of the scene."""
     kinds = (*PATHS, *AROUND, *OTHERS)
     plugins = [(kind, parameters) for kind, parameters in found if kind in kinds]
     lost = [f"type {kind!r}" for kind, _ in plugins if kind not in PATHS]

@@ -43,7 +43,7 @@ class LoadedScene:
         shapes: Names of the shapes and instances (see `shape_names`); the id of a pixel is 1 + the index in this list.
         materials: Names of the materials, likewise; those within instances too.
         extent: Diagonal of the bounding box, scene units.
-        integrator: What the scene's own integrator asks for; None if it has none.
+        integrator: The settings of the scene's own integrator; None if it has none.
         sensor: Which of the scene's own sensors counts, from 0.
         rgb_alone: Spectral variants would load it, and fail to render it.
         demand: Why fewer colours cannot load it, in Mitsuba's words; "" for a scene that RGB can.
@@ -123,7 +123,7 @@ def load_here(source: SceneRef, mi: Any, *, allow_outside: bool = False) -> Load
     name = source.name
     try:
         loaded, description = _load(source, mi, allow_outside)
-    except (RuntimeError, TypeError, KeyError, AttributeError) as error:  # what Mitsuba and its bindings raise
+    except (RuntimeError, TypeError, KeyError, AttributeError) as error:  # exceptions of Mitsuba and its bindings
         raise ValueError(f"scene {name!r} cannot be loaded: {brief(error, 600)}{_hint(str(error), source)}") from error
     if not isinstance(loaded, mi.Scene) or len(loaded.shapes()) == 0:
         raise ValueError(f"scene {name!r} has no shapes: there is nothing to see")
@@ -160,7 +160,7 @@ def load_here(source: SceneRef, mi: Any, *, allow_outside: bool = False) -> Load
 
 
 def _hint(said: str, source: SceneRef) -> str:
-    """What Mitsuba's words leave out."""
+    """Advice that Mitsuba's words leave out."""
     if missing := re.search(r"undefined parameter: \$([\w.-]+)", said):
         return f" (give it a value: -D {missing[1]}=VALUE)"
     if source.path is not None and OLD.search(read_bytes(source.path)[:4096]):

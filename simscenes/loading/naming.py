@@ -33,7 +33,7 @@ def shape_names(shapes: Iterable[Any]) -> tuple[str, ...]:
 
 
 def _given(shape: Any) -> tuple[str, bool]:
-    """What a shape would like to be called, and whether its scene calls it so."""
+    """The preferred name of a shape, and whether its scene gives it."""
     if (own := shape.id()) and not own.startswith("_unnamed"):
         return own, True
     # Mitsuba keeps the name of a mesh's file nowhere but in its printed description.

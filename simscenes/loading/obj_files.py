@@ -1,7 +1,7 @@
 """OBJ meshes that Mitsuba 3.9 misreads: corners without a texture coordinate or a normal, and indices from the end.
 
-Its reader allocates a value for every vertex as soon as the file has a single `vt` or `vn`, and fills in only what a
-corner names. What memory held before then bends normals, moves textures and changes from run to run.
+Its reader allocates a value for every vertex as soon as the file has a single `vt` or `vn`, and fills in only the
+values that a corner names. Old content of the memory then bends normals, moves textures and changes from run to run.
 """
 
 from __future__ import annotations
@@ -55,7 +55,9 @@ def _write(path: Path, content: bytes) -> None:
 
 
 def complete(content: bytes) -> bytes:
-    """An OBJ file in which every corner names what the file has values of; the very same object if it is so already."""
+    """An OBJ file in which every corner names all kinds of values in the file; the very same object if it is so
+    already.
+    """
     has = [bool(re.search(rb"^[ \t]*" + name + rb"[ \t]", content, re.MULTILINE)) for name in LISTS]
     if _is_complete(content, has[1], has[2]):
         return content

@@ -23,7 +23,7 @@ class SceneRef:
         name: Catalogue name with its seed ("tabletop:3"), stem of the file, or "custom".
         path: The Mitsuba XML file, or None.
         description: The Mitsuba dict, or None.
-        parameters: What a file's $names stand for, (name, value), instead of its <default>s.
+        parameters: Values of a file's $names, (name, value), instead of its <default>s.
         sensor: Which of the scene's own sensors counts, from 0.
     """
 

@@ -38,10 +38,10 @@ def fit_rig(
     swing_deg: float = 10.0,
     allow_outside: bool = False,
 ) -> Rig:
-    """Cameras on an arc around what a scene's own sensor sees, in the space that is free around it.
+    """Cameras on an arc around the target of a scene's own sensor, in the free space around it.
 
     The target lies on the sensor's axis, as far away as the things near its centre; the arc turns about the sensor's
-    own up axis. If a camera would end up behind or within a surface, or lose sight of what the sensor sees (as it does
+    own up axis. If a camera would end up behind or within a surface, or lose sight of the sensor's target (as it does
     where it leaves a room), the whole arc is narrowed until none does.
 
     Args:
@@ -170,7 +170,7 @@ def _see(loaded: LoadedScene, mi: Any, rig: Rig, points: Float) -> bool:
 
 
 def _share_space(loaded: LoadedScene, mi: Any, rig: Rig, own: Rig) -> bool:
-    """Whether most of what each view shows can be seen from where the sensor is, and little more of it is empty."""
+    """Whether most of each view's surfaces can be seen from the sensor's place, and little more of it is empty."""
     rays = [pixel_rays(shrunk(r, i, PROBE), 0) for r in (own, rig) for i in range(len(r))]
     origins = np.repeat([origin for origin, _ in rays], PROBE**2, 0)
     directions = np.concatenate([d for _, d in rays])

@@ -25,7 +25,7 @@ WHY_NOT = {  # of the sensors that have no pinhole camera's rays
     "BatchSensor": " (name the sensors within it one by one)",
 }
 MAX_PIXELS = 1 << 26  # an untrusted file must not ask for all memory
-GRID = 32  # rays across a sensor's image that find what its clip planes hide
+GRID = 32  # rays across a sensor's image that find surfaces hidden by its clip planes
 
 
 def own_rig(loaded: LoadedScene, mi: Any, width: int | None = None, height: int | None = None) -> Rig:

@@ -15,7 +15,7 @@ from simscenes.rigs import Rig, intrinsics_to_mitsuba, opencv_to_mitsuba
 
 PINHOLE = Optics()
 MAX_INTERFACES = 64
-NEAR, FAR = 1e-9, 1e2  # clip planes, in extents: a ground of 20,000 units must not hide what stands before the camera
+NEAR, FAR = 1e-9, 1e2  # clip planes, in extents: a ground of 20,000 units must not hide things in front of the camera
 
 
 def sensor_dict(mi: Any, rig: Rig, i: int, loaded: LoadedScene, optics: Optics = PINHOLE) -> dict[str, Any]:

@@ -133,7 +133,7 @@ class MultiviewSet:
         return _stack(self._truth(i, *names), *names) if self.kind == "rendered" else None
 
     def geometry(self, i: int) -> dict[str, NDArray[Any]] | None:
-        """What the ray through each pixel centre hits; None for photographs.
+        """The surface that the ray through each pixel centre hits; None for photographs.
 
         Returns:
             "z" and "distance" float32 [h,w]; "normals" (shading) and "geometric_normals", both in world axes and facing
@@ -212,7 +212,7 @@ def load_set(path: str | Path) -> MultiviewSet:
 
 
 def load_photographs(path: Path) -> MultiviewSet:
-    """Open a folder of photographs with cameras; errors as `load_set`. What lies in gt/ beside them is not looked at.
+    """Open a folder of photographs with cameras; errors as `load_set`. Files in gt/ beside them are not looked at.
 
     Some data sets call well-lit pictures so.
     """

@@ -1,4 +1,4 @@
-"""The single decisions: what each effect of light transport contributes, and whether that is more than allowed."""
+"""The single decisions: the contribution of each effect of light transport, and whether it is more than allowed."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def _deep_enough(p: Pilot, kind: str, most: float) -> tuple[int, pilot.Share]:
 
 
 def _tail(p: Pilot, kind: str, depth: int, deepest: int, most: float) -> pilot.Share:
-    """What a cut at `depth` omits, from pilots that end at `deepest`."""
+    """The light that a cut at `depth` omits, from pilots that end at `deepest`."""
     full = p.cut(kind, deepest, deepest)
     if depth < deepest:
         return pilot.beyond(pilot.missing_light(full, p.cut(kind, depth, deepest)), deepest - depth, most)

@@ -35,7 +35,7 @@ NEEDS = {
 
 
 def settle(effects: Iterable[Effect], force: dict[str, bool]) -> tuple[Effect, ...]:
-    """The effects after the user's choices, and after what the effects that are on require of others."""
+    """The effects after the user's choices, and after the demands of active effects on others."""
     settled = {
         e.name: replace(e, on=force[e.name], forced=True, reason=f"forced by name; {e.reason}")
         if e.name in force
@@ -67,7 +67,7 @@ class TransportPlan(Plan):
             not measured.
         hide_emitters: Whether cameras look through lamps, and skies are black, as a scene's own integrator may want it.
         tolerance: The share of all light that may be left out; nan if it was not asked.
-        rms: What leaving an effect out costs as an error of pixels, effect -> five numbers: the root mean square over
+        rms: The cost of leaving an effect out as an error of pixels, effect -> five numbers: the root mean square over
             the picture relative to the mean radiance, then within each quarter of it by brightness, darkest first.
         light_weights: How often each light of the scene is picked, relative; () for equally often.
     """
@@ -83,7 +83,7 @@ class TransportPlan(Plan):
 
     @property
     def bias(self) -> tuple[float, ...]:
-        """The error of pixels by all that is left out, at most, as the five numbers of `rms`; nan where not known."""
+        """The error of pixels by all omitted effects, at most, as the five numbers of `rms`; nan where not known."""
         if math.isnan(self.bound):
             return (math.nan,) * 5
         left = [self.rms.get(e.name) or (e.contribution,) * 5 for e in self.effects if not e.on and e.unit == UNIT]
@@ -105,7 +105,7 @@ class TransportPlan(Plan):
         return made
 
     def force(self, on: Iterable[str] = (), off: Iterable[str] = ()) -> TransportPlan:
-        """The same plan with some effects decided by hand, and what follows from that. The bounds are no longer known.
+        """The same plan with some effects decided by hand, and the consequences. The bounds are no longer known.
 
         Raises:
             ValueError: If an effect does not exist.
@@ -123,7 +123,7 @@ class TransportPlan(Plan):
         return "spectral" if self.is_on(SPECTRAL) else "rgb"
 
     def __str__(self) -> str:
-        """The table, and what the plan saves."""
+        """The table, and the time the plan saves."""
         if not self.seconds:
             return super().__str__()
         times = ", ".join(f"{seconds:.3g} s {name}" for name, seconds in self.seconds.items())

@@ -27,7 +27,7 @@ UNDERSTOOD = frozenset({
     "IrregularSpectrum", "MeshAttribute", "RawConstantTexture", "RegularSpectrum", "SRGBReflectanceSpectrum",
     "UniformSpectrum", "VolumeAdapter",
 })  # fmt: skip
-# What polarises is all they are there for: how much that changes is measured, never guessed.
+# Plugins whose only purpose is to polarise: how much that changes is measured, never guessed.
 FILTERS = frozenset({"CircularPolarizer", "LinearPolarizer", "LinearRetarder", "MeasuredPolarized"})
 
 

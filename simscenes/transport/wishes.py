@@ -1,4 +1,4 @@
-"""Refuses what the user decides instead of the planner, if it cannot be simulated."""
+"""Refuses decisions that the user makes instead of the planner, if they cannot be simulated."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ def check_wishes(force: dict[str, bool], max_depth: int | None, optics: Optics, 
         spectra: Whether the scene can be loaded in spectra.
 
     Raises:
-        ValueError: If an effect is unknown, needs what the scene or the camera lacks, or contradicts another wish.
+        ValueError: If an effect is unknown, needs a part that the scene or the camera lacks, or contradicts another
+            wish.
     """
     if unknown := set(force) - set(plan.EFFECTS):
         raise ValueError(f"force: an effect must be one of {', '.join(plan.EFFECTS)}, got {', '.join(sorted(unknown))}")

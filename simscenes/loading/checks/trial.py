@@ -56,7 +56,7 @@ def check_survives(
 
 
 def _identity(files: Sequence[Path], variant: str) -> bytes:
-    """Content of all files with their places relative to the scene, and what loads them."""
+    """Content of all files with their places relative to the scene, and the code that loads them."""
     root = files[0].parent
     parts = [FORMAT, variant, *map(importlib.metadata.version, ("drjit", "mitsuba"))]
     for file in files:
@@ -84,7 +84,7 @@ class _Process:
         return f"{failed} {answer[1:]}" if answer.startswith("!") else answer.removeprefix("=")
 
     def _ask(self, asked: dict[str, Any]) -> str:
-        """The answer after a "=", what happened to the process after a "!", or "" if it had left before."""
+        """The answer after a "=", the fate of the process after a "!", or "" if it had left before."""
         process = self._alive()
         assert process.stdin is not None
         assert process.stdout is not None
@@ -117,7 +117,7 @@ class _Process:
         return self.running
 
     def stop(self) -> None:
-        """End it, whatever it is doing."""
+        """End it, even at work."""
         if self.running is not None:
             self.running.kill()
             self.running.communicate()

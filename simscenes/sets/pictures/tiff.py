@@ -1,7 +1,7 @@
 """TIFF files: the few tags that say what their pixels are, and content in which decoders find no reason to change them.
 
 libtiff, and OpenCV and PIL with it, turn pixels by the mark of orientation and multiply colours by alpha on their own,
-whatever flags they are given. The only sure way to pixels as stored is a file that does not ask for it.
+with any flags. The only sure way to pixels as stored is a file that does not ask for it.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def retagged(file: Path, values: Mapping[int, int]) -> bytes | None:
 
     Args:
         file: Any file.
-        values: What each tag must be, where the file has it.
+        values: The value each tag must have, where the file has it.
 
     Returns:
         The content; None where nothing had to be changed.

@@ -18,7 +18,8 @@ EOI = 0xD9
 NEXT = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]")
 DEFLATE = 1032  # zlib cannot make data smaller than by this factor
 CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}  # by the colour type of a PNG
-# What the compressions of EXR, by their number, can shrink pixels by at most; runs of lossy ones only roughly.
+# The largest factor by which the compressions of EXR, by their number, can shrink pixels; runs of lossy ones only
+# roughly.
 SHRINKS = {0: 1, 1: 64, 2: DEFLATE, 3: DEFLATE, 4: 4 * DEFLATE, 5: 2 * DEFLATE, 6: 16, 7: 16}
 SHRINKS_MOST = 64 * DEFLATE  # all others
 BYTES = {0: 4, 1: 2, 2: 4}  # by the type of an EXR channel

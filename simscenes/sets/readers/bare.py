@@ -1,4 +1,4 @@
-"""Photographs without poses: which files they are, what their headers say of the camera, and their pixels.
+"""Photographs without poses: which files they are, the camera's entries in their headers, and their pixels.
 
 Poses refer to pixels as stored. A mark of orientation (EXIF) is therefore ignored: the camera's sensor is the same
 however it was held, and a pose includes the roll. Pictures stored upright among lying ones, or the other way round, are
@@ -108,7 +108,7 @@ def _covering(size: tuple[int, int], most: tuple[int, int], common: tuple[int, i
 
 
 def _lens(file: Path) -> tuple[tuple[Any, ...], float | None]:
-    """What tells lenses apart in the header, and the 35 mm equivalent of the focal length."""
+    """Entries of the header that tell lenses apart, and the 35 mm equivalent of the focal length."""
     lens: tuple[Any, ...] = ()
     focal: float | None = None
     with header(file) as image, suppress(Exception):  # metadata of any kind of damage is as good as none

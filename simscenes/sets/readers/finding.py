@@ -11,7 +11,7 @@ from pathlib import Path
 
 from simscenes.sets.readers.bare import SUFFIXES
 
-# What a listed name may lack. Case decides here only where a folder holds several of them.
+# Suffixes that a listed name may lack. Case decides here only where a folder holds several of them.
 ADDED = ("", ".png", ".jpg", ".jpeg", ".JPG", ".JPEG", ".PNG")
 
 
@@ -69,7 +69,7 @@ def _exact(folder: Path, listed: str) -> Path | None:
 
 
 class _Folders(dict[Path, dict[str, list[Path]]]):
-    """What each folder holds by names in lower case; each is looked into once."""
+    """The files of each folder by names in lower case; each is looked into once."""
 
     def __missing__(self, folder: Path) -> dict[str, list[Path]]:
         self[folder] = defaultdict(list)

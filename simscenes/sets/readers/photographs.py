@@ -1,6 +1,6 @@
 """Posed photographs from elsewhere, as nerfstudio and instant-ngp list them: `transforms.json`.
 
-Whatever the source's lens, a reader returns the rig of the *undistorted* images and the lens that undoes distortion.
+For any lens of the source, a reader returns the rig of the *undistorted* images and the lens that undoes distortion.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from simscenes.sets.readers.finding import find_file as find_file
 from simscenes.sets.readers.finding import find_files, spelt
 from simscenes.sets.readers.split import SPLIT, split_of
 
-# What states a focal length along x and along y, in the order in which they count: px, rad, degrees.
+# Entries that state a focal length along x and along y, in the order in which they count: px, rad, degrees.
 FOCAL_X, FOCAL_Y = ("fl_x", "camera_angle_x", "x_fov"), ("fl_y", "camera_angle_y", "y_fov")
 FOCAL = (*FOCAL_X, *FOCAL_Y)
 # Entries read from a camera file, of the whole set or of one frame.
@@ -156,7 +156,7 @@ def _all_frames(source: Path) -> tuple[list[Frame], Poses]:
 
 
 def _frames(source: Path) -> tuple[list[Frame], Poses, list[str]]:
-    """All frames of a file and their poses, checked, and what the user must know of them."""
+    """All frames of a file and their poses, checked, and notes for the user."""
     content = read_record(source, TRANSFORMS)
     split = split_of(content, source)
     shared = {key: value for key, value in content.items() if key != "frames"}
@@ -204,7 +204,7 @@ def listed(files: Sequence[Path | None], source: Path, names: Sequence[str] = ()
     Args:
         files: The file of each image; None: not there.
         source: For messages.
-        names: What messages call the images, as `spelt` makes it; (): images that are missing are counted only.
+        names: Names of the images in messages, as `spelt` makes it; (): images that are missing are counted only.
 
     Raises:
         ValueError: If no photograph is there, or one file is listed twice. Missing ones are counted and named in one

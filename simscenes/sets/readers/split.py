@@ -20,14 +20,14 @@ SPLIT = {f"{key}?": [str] for key in LISTS}
 
 @dataclass(frozen=True)
 class Split:
-    """Places of the frames for training and for testing, and what the user must know; the other frames are left out."""
+    """Places of the frames for training and for testing, and notes for the user; the other frames are left out."""
 
     train: frozenset[int]
     test: frozenset[int]
     notes: tuple[str, ...] = ()
 
     def use(self, place: int) -> Literal["train", "test", "none"]:
-        """What the frame at this place is for."""
+        """The purpose of the frame at this place."""
         return "train" if place in self.train else "test" if place in self.test else "none"
 
 

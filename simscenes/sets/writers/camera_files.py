@@ -55,7 +55,7 @@ def write_cameras(
         points: Sparse points with their tracks and errors, which are written unchanged.
         held_out: Places of the views for testing; None: every 8th, from 0.
         depth_dir: Folder of the depth images of all views, relative to `folder`; None if the set has no depth.
-        scene: What the scene is called.
+        scene: The scene's name.
 
     Raises:
         ValueError: If names are not safe, different and sorted, or do not match the rig.

@@ -23,7 +23,7 @@ from simscenes.sets.writers.layouts import Layout
 NERFBASELINES = "nerfbaselines.datasets.blender:load_blender_dataset"  # it has no short name there
 CENTRED = 0.01  # px that a principal point may be off without a word
 OFF_CENTRE = 0.02  # of the longer side, from which on it is another camera
-NEAR, FAR = 2.0, 6.0  # between which the readers of the Blender layout look, whatever the file says
+NEAR, FAR = 2.0, 6.0  # between which the readers of the Blender layout look, with any file
 
 
 def check_blender(rig: Rig) -> None:
@@ -60,10 +60,10 @@ def _off_centre(rig: Rig) -> tuple[float, int]:
 def export_blender(views: MultiviewSet, folder: str | Path, *, truth: MultiviewSet | None = None) -> Path:
     """Write transforms_train.json, transforms_val.json and transforms_test.json, with RGBA images beside them.
 
-    The world is moved and scaled, x' = scene_scale (x - scene_center), so that the scene is about the origin and what
-    the pixels see lies between `NEAR` and `FAR`; both numbers are in every file. Alpha is 0 where a pixel's centre sees
-    no surface, which takes a rendered set; photographs are opaque. Of pictures that are not square nerfbaselines 1.2
-    puts the optical axis at row width / 2; other readers do not.
+    The world is moved and scaled, x' = scene_scale (x - scene_center), so that the scene is about the origin and
+    visible surfaces lie between `NEAR` and `FAR`; both numbers are in every file. Alpha is 0 where a pixel's centre
+    sees no surface, which takes a rendered set; photographs are opaque. Of pictures that are not square nerfbaselines
+    1.2 puts the optical axis at row width / 2; other readers do not.
 
     Args:
         views: The set, or a capture.
@@ -151,7 +151,7 @@ def export_llff(views: MultiviewSet, folder: str | Path, *, truth: MultiviewSet 
 
 
 def _write_image(views: MultiviewSet, i: int, folder: Path) -> None:
-    """The image of view `i` under its name: a copy, or what the cameras describe of a photograph."""
+    """The image of view `i` under its name: a copy, or the part of a photograph that the cameras describe."""
     source, target = views.files[i], folder / file_of(views.names[i])
     if source.suffix == target.suffix and views.lenses is None:
         with atomic(target) as temporary:
