@@ -43,7 +43,7 @@ class Stack:
 
 @dataclass(frozen=True, kw_only=True)
 class Characterisation:
-    """What the frames say about their camera; symbols as in `Sensor`."""
+    """The parameters of a camera from its frames; symbols as in `Sensor`."""
 
     gain: float  # DN/e-
     eta: float | None  # None without photon numbers
@@ -151,7 +151,7 @@ def characterise(dark: Sequence[Stack], flat: Sequence[Stack]) -> Characterisati
 
 
 def _check(dark: Sequence[Stack], flat: Sequence[Stack]) -> None:
-    """Refuse what no camera can be estimated from."""
+    """Refuse frames that no camera can be estimated from."""
     require(len({s.time for s in dark}) >= 2, "dark", "stacks at two exposure times or more", len(dark))
     require(len(flat) >= 3, "flat", "three stacks or more", len(flat))
     shapes = {np.shape(s.frames)[1:] for s in (*dark, *flat)}
@@ -167,7 +167,7 @@ def _proportional(x: Array, y: Array) -> float:
 
 
 def _straightened(signal: Array, bend: float) -> tuple[Array, Array]:
-    """What a linear camera would have shown instead of x - bend x**2, and the slope of the bend there. DN.
+    """The signal of a linear camera instead of x - bend x**2, and the slope of the bend there. DN.
 
     Shot noise is proportional to that signal and shrinks by that slope; a photon transfer curve of the bent signal
     alone would read the gain of a camera with 2 % of non-linearity 3 % too low.
@@ -185,8 +185,8 @@ def _average(stack: Stack) -> Array:
 
 
 def _squares(stack: Stack) -> Iterator[Array]:
-    """Of each frame the squared temporal deviation of every pixel, [h, w], without what all pixels of a frame share,
-    such as the flicker of a lamp (EMVA 1288, section 6).
+    """Of each frame the squared temporal deviation of every pixel, [h, w], without the changes that all pixels of a
+    frame share, such as the flicker of a lamp (EMVA 1288, section 6).
     """
     average = _average(stack)
     pattern = average - average.mean()
@@ -249,7 +249,7 @@ def _linearity(light: Array, signal: Array, peak: float) -> tuple[float, float]:
 def _noise_parts(stacks: Sequence[Stack], at_zero_time: float) -> tuple[float, float, float]:
     """Temporal variance of rows, of columns and of single pixels in the dark, DN**2.
 
-    Row means vary by the row noise and by what averaging leaves of the pixel noise; the difference of two frames is
+    Row means vary by the row noise and by the pixel noise that remains after averaging; the difference of two frames is
     free of the fixed pattern.
     """
     rows, columns = [], []

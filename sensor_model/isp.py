@@ -63,7 +63,7 @@ def develop(
     dn = np.asarray(getattr(frame_or_dn, "dn", frame_or_dn))
     require(digital_gain > 0, "digital_gain", "> 0", digital_gain)
     linear = develop_linear(dn, sensor, demosaic=demosaic, color_matrix=color_matrix)
-    if digital_gain < 1:  # what white balance lifts over white would stay coloured
+    if digital_gain < 1:  # values that white balance lifts over white would stay coloured
         linear = np.minimum(linear, 1.0)
     linear = linear * np.float32(digital_gain)
     srgb8 = to_srgb8(linear)

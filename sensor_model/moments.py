@@ -110,7 +110,7 @@ def _many_integrals(s: Sensor, mu: Array, base: Array, extra: Array, shot: str) 
     """`integrated_moments` of any number of pixels.
 
     Where many share base and extra, as without DSNU all do, they are interpolated in the square root of the charge: on
-    that axis shot noise is 0.5 wide, whatever the charge, and smooths everything over that width.
+    that axis shot noise is 0.5 wide, for any charge, and smooths everything over that width.
     """
     mean, variance = np.empty_like(mu), np.empty_like(mu)
     kinds, which = np.unique(base + 1j * extra, return_inverse=True)

@@ -109,9 +109,9 @@ def raw_noise(
         sensor: The camera.
         exposure: How it is used.
         channels: 3 for a mosaic or three chips, 1 for a monochrome sensor.
-        plan: What `expose` left out; None: nothing.
+        plan: The plan of `expose`, with the effects it left out; None: nothing.
         fixed_pattern: Whether the offsets and responses of single pixels (DSNU, PRNU) count as noise: True for the
-            distance of a datum from what an even camera would give, False for the spread over frames of one view.
+            distance of a datum from an even camera's, False for the spread over frames of one view.
 
     Raises:
         ValueError: if `channels` does not fit the sensor.

@@ -39,7 +39,7 @@ def _is_spread(table: tuple[tuple[float, ...], ...]) -> bool:
 
 @dataclass(frozen=True, kw_only=True)
 class SensorOptics:
-    """What the lens and the stack above the photodiodes do to the light."""
+    """The effects of the lens and of the stack above the photodiodes on the light."""
 
     corner_angle: float = 0.0  # degrees; relative illumination falls as cos**4 up to this angle in the corners
     falloff: tuple[float, ...] | None = None  # or: relative illumination at even steps from centre to corner

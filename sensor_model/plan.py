@@ -27,7 +27,7 @@ class Effect:
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """The decisions on all effects, and the bound on the error of all that were left out together."""
+    """The decisions on all effects, and the bound on the error of all omitted ones together."""
 
     effects: tuple[Effect, ...]
     bound: float  # on the total error, in `unit`

@@ -24,19 +24,19 @@ from sensor_model.params import Exposure, Sensor, require
 from sensor_model.plan import Effect, Plan
 
 SD, BIAS, SIGNAL = "relative standard deviation", "DN of bias", "relative signal"
-Costs = dict[str, tuple[dict[str, float], str]]  # effect -> what leaving it out costs in each budget, and where
+Costs = dict[str, tuple[dict[str, float], str]]  # effect -> the cost of leaving it out in each budget, and where
 CLEAR = 5.0  # standard deviations
 ROOM, KURTOSIS, DISTANCE = "standard deviations short of 5", "excess kurtosis", "Kolmogorov distance"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """What leaving effects out may cost."""
+    """The allowed cost of leaving effects out."""
 
     sd: float  # relative standard deviation, at any signal in the range
     bias_dn: float | None = None  # DN; None: `sd` standard deviations of the darkest signal
     kurtosis: float = 0.1  # excess kurtosis of the darkest pixels
-    distance: float = 0.01  # Kolmogorov distance between the Poisson distribution and what replaces it
+    distance: float = 0.01  # Kolmogorov distance between the Poisson distribution and its replacement
     row_length: int = 1  # pixels of a row that later get averaged (1: pixels count singly): row noise adds up
     shared_views: int = 1  # views in which a scene point meets the same pixel (1: moving camera): fixed pattern adds up
     pixels: int = 1_000_000  # of all frames of one camera: below 0.01 defects expected, none are simulated
@@ -51,7 +51,7 @@ class Limits:
 
 
 def plan_effects(sensor: Sensor, exposure: Exposure, signal_e: ArrayLike, tolerance: float | Limits = 0.05) -> Plan:
-    """Decide, effect by effect, what to simulate.
+    """Decide for each effect whether to simulate it.
 
     Args:
         sensor: The camera.
@@ -60,7 +60,7 @@ def plan_effects(sensor: Sensor, exposure: Exposure, signal_e: ArrayLike, tolera
         tolerance: Relative error of the standard deviation that may be made at any signal in that range, or all limits.
 
     Returns:
-        A plan whose `bound` and `biases` bound the error of all that is left out. Force effects by `Plan.force`.
+        A plan whose `bound` and `biases` bound the error of all omitted effects. Force effects by `Plan.force`.
 
     Raises:
         ValueError: if the signal is negative or not finite, or a limit is out of range.
@@ -120,7 +120,7 @@ def _hot_e(s: Sensor, exposure: Exposure, limits: Limits) -> float:
 
 
 def _telegraph_variance(s: Sensor, limits: Limits) -> float:
-    """What telegraph noise adds in a pixel that has it, if there are any. e-**2."""
+    """The variance that telegraph noise adds in a pixel that has it, if there are any. e-**2."""
     d = s.defects
     return (d.rts_factor**2 - 1) * s.sigma_d**2 if d and d.rts_fraction * limits.pixels >= 0.01 else 0.0
 
@@ -174,12 +174,12 @@ def _costs(s: Sensor, exposure: Exposure, low: float, high: float, limits: Limit
 
 
 def _shapes(s: Sensor, low: float, most: float, limits: Limits, exempt: bool) -> list[Effect]:
-    """Effects that a variance does not measure: tails, and what only happens near saturation, by the fullest pixel."""
+    """Effects that a variance does not measure: tails, and effects near saturation, by the fullest pixel."""
     tails = 0.0
     if s.tukey_lambda is not None and s.sigma_d:
         tails = abs(excess_kurtosis(s.tukey_lambda)) * (s.sigma_d**2 / kept_variance(s, low)) ** 2
     # Skewness (1 / (6 sqrt(2 pi)) of it, by Edgeworth's expansion), plus the steps of whole electrons where the read
-    # noise does not blur them; what no distance exceeds, without any light, is 1
+    # noise does not blur them; the largest possible distance, without any light, is 1
     skew = (0.0665 + 0.2 * exp(-2 * (pi * s.sigma_d) ** 2)) / sqrt(low) if low > 0 else inf
     full = max(0.0, CLEAR - _sd_to_white(s, most, limits))
     switch = inf if s.dual_gain is None else _ratio(s.dual_gain.threshold - most, sqrt(most))
@@ -204,7 +204,8 @@ def _sd_to_black(s: Sensor, charge_e: float, limits: Limits) -> float:
 
 
 def _is_coarse(s: Sensor, low: float, most: float) -> bool:
-    """Whether the noise is too small to blur the codes: what rounding does then depends on where between codes it lies.
+    """Whether the noise is too small to blur the codes: the effect of rounding then depends on where between codes it
+    lies.
 
     The mean of a code errs by at most f/pi DN, where f = exp(-S (1 - cos 2 pi K) - 2 (pi K R)**2) is the characteristic
     function of shot and read noise at one cycle per code. Below f = exp(-7), 0.0003 DN, rounding just adds 1/12 DN**2.

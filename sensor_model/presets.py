@@ -8,8 +8,7 @@ PMN and ELD give noise in DN, and for Tukey's lambda distribution its scale: sig
 Quantum efficiency: no source has a curve over the wavelength; `SOURCES[...]["eta"]` says at which wavelength it was
 measured, if it was. Colour goes through `rgb_response`.
 "assumed": no public measurement. An assumed `eta` matters only for light in physical units: light given in electrons
-divides it out. "derived": what the ADC spans at the lowest ISO; at the ISO of the preset the ADC
-saturates first.
+divides it out. "derived": the range of the ADC at the lowest ISO; at the ISO of the preset the ADC saturates first.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What every camera source returns: cameras for the views it could place, and points to start from, in one frame."""
+"""The result of every camera source: cameras for the views it could place, and points to start from, in one frame."""
 
 import math
 from dataclasses import dataclass, field

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from novags.cameras.estimate import Array, centers_of
 
-SIZE = 64  # px, longest side: averaging is what makes dark pictures comparable, and first points need no more
+SIZE = 64  # px, longest side: averaging makes dark pictures comparable, and first points need no more
 PLANES = 64  # depths tried, about a pixel of parallax apart at this size
 NEIGHBOURS = 4  # pictures that each one is compared with
 WINDOW = 5  # px
@@ -186,7 +186,7 @@ def semi_global(cost: Float) -> Float:
 
 
 def between(cost: Float, best: NDArray[np.intp]) -> Array:
-    """Planes of least cost [h, w] as fractions: the lowest points of parabolas through the best and those beside it."""
+    """Planes of least cost [h, w] as fractions: the lowest points of parabolas through the best and its neighbours."""
     inner = np.clip(best, 1, len(cost) - 2)
     below, here, above = (np.take_along_axis(cost, (inner + k)[None], 0)[0].astype(np.float64) for k in (-1, 0, 1))
     bend = below - 2 * here + above

@@ -1,4 +1,4 @@
-"""What a radiance field consists of: tables of features on grids of eight resolutions, and one small network.
+"""The parts of a radiance field: tables of features on grids of eight resolutions, and one small network.
 
     encoded  [S, 32]   eight levels of four features, each interpolated between the eight corners of its cell
     hidden   [S, 32]   relu(encoded W1 + b1)

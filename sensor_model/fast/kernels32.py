@@ -18,7 +18,8 @@ NORMAL_ERROR = 1e-6  # of `normal32` down to TAIL (5.2 standard deviations), ove
 _F = np.float32
 _ONE, _HALF, _FOUR, _LN2, _ROOT2, _ROOT8 = _F(1), _F(0.5), _F(4), _F(np.log(2)), _F(np.sqrt(2)), _F(np.sqrt(8))
 _EDGE, _SHIFT, _THREE = _F(5), _F(2.5), _F(3)
-# Of a float32's bits: exponent unit and its inverse, bias, and what makes the fraction lie in sqrt(1/2)..sqrt(2)
+# Of a float32's bits: exponent unit and its inverse, bias, and the offset that makes the fraction lie in
+# sqrt(1/2)..sqrt(2)
 _EXPONENT, _STEP, _BIAS, _CUT = _F(2**23), _F(2**-23), _F(127), _F(127 - 0.0858)
 _WHOLE = _F(1.5 * 2**23)  # adding and subtracting it rounds to the nearest whole
 # Moshier's Cephes, logf: log(1 + x) = x - x**2/2 + x**3 p(x)

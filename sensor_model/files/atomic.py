@@ -35,7 +35,7 @@ def atomic(path: str | os.PathLike[str]) -> Iterator[Path]:
     check_links(target.parent)
     target.parent.mkdir(parents=True, exist_ok=True)
     temporary = target.with_name(f".{target.stem}.{os.getpid()}.partial{target.suffix}")
-    remove(temporary)  # what a killed process of the same number may have left
+    remove(temporary)  # files that a killed process of the same number may have left
     try:
         yield temporary
         for witness in _witnesses:
@@ -54,10 +54,10 @@ def atomic(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 class Witness:
-    """What files held when they were written.
+    """The content of files when they were written.
 
     Attributes:
-        found: What `look` returned, by the absolute path.
+        found: The results of `look`, by the absolute path.
         stamps: Device, inode, times and size of the same files, once they had their names.
     """
 
@@ -119,12 +119,12 @@ def write_text(path: Path, text: str) -> None:
 
 
 def sweep(folder: str | os.PathLike[str], inside: Iterable[str] = (), *, own: bool = False) -> None:
-    """Remove what killed processes left half-written. Call it only where nobody else writes: under the folder's lock.
+    """Remove half-written files of killed processes. Call it only where nobody else writes: under the folder's lock.
 
     Args:
         folder: Where to look, not in the folders in it.
         inside: Folders in it that are searched to any depth; a link to one is not followed.
-        own: This process has not begun to write: what bears its number is of an earlier one.
+        own: This process has not begun to write: files with its number are of an earlier one.
     """
     roots = (root for name in inside if (root := Path(folder) / name).is_dir() and not root.is_symlink())
     for path in [*Path(folder).glob(".*.partial*"), *(path for root in roots for path in root.rglob(".*.partial*"))]:
@@ -137,7 +137,9 @@ def sweep(folder: str | os.PathLike[str], inside: Iterable[str] = (), *, own: bo
 
 
 def sweep_file(path: str | os.PathLike[str]) -> None:
-    """Remove what killed processes left half-written of one file. Call it where nobody else writes that file."""
+    """Remove half-written versions of one file that killed processes left. Call it where nobody else writes that
+    file.
+    """
     target = Path(path)
     for left in target.parent.glob(f".{escape(target.stem)}.*.partial{escape(target.suffix)}"):
         match = _PARTIAL.match(left.name)

@@ -26,7 +26,8 @@ from typing import BinaryIO
 
 AnyPath = str | os.PathLike[str]
 
-# Bytes at most, by what a file is. Far above the largest that anybody has, far below what exhausts a machine.
+# Bytes at most, by the kind of a file. Far above the largest that anybody has, far below a size that exhausts a
+# machine.
 TEXT = 256 << 20  # JSON, TOML, XML, CSV; COLMAP's text of a hundred thousand points is 50 MiB
 PICTURE = 4 << 30  # 2**29 pixels of 16-bit RGB, uncompressed
 VARIABLE = (
@@ -117,7 +118,7 @@ def reachable() -> list[str]:
 
 
 def _allowed() -> list[str]:
-    """What `allow` was told, in this process or in one that started it."""
+    """The places given to `allow`, in this process or in one that started it."""
     found = json.loads(os.environ.get(VARIABLE) or "[]")
     return found if isinstance(found, list) else []
 
@@ -136,7 +137,7 @@ def opened(path: AnyPath, *, most: int | None = None) -> BinaryIO:
 
     Args:
         path: The file.
-        most: Bytes that it may have; None: what `largest` says.
+        most: Bytes that it may have; None: the result of `largest`.
 
     Raises:
         ValueError: If it is not a regular file, is larger, or a link leads out of the given folders.
@@ -157,7 +158,7 @@ def opened(path: AnyPath, *, most: int | None = None) -> BinaryIO:
 
 
 def stamp_of(file: AnyPath | int) -> tuple[int, ...]:
-    """What changes when a file does, by its name or its descriptor: device, inode, times, size.
+    """The stamp that changes when a file does, by its name or its descriptor: device, inode, times, size.
 
     A clock set back, or a copy that keeps its time stamp, can repeat the time of modification; hardly the time of
     change.

@@ -1,6 +1,6 @@
 """Folders of this user alone: this user put their content there, so it may be believed, and compiled code run.
 
-A folder that somebody else owns, or can write to, holds whatever they like, under any name.
+A folder that somebody else owns, or can write to, may hold anything, under any name.
 """
 
 from __future__ import annotations

@@ -29,7 +29,7 @@ def python(program: str, *arguments: str) -> list[str]:
 
 
 def import_path() -> list[str]:
-    """`sys.path` of this process without the working directory, by whatever name it stands there.
+    """`sys.path` of this process without the working directory, under any of its names.
 
     Where our own packages lie in the working directory, as in a checkout, they keep their place.
     """

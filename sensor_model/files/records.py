@@ -28,7 +28,7 @@ from typing import Any
 from sensor_model.files.door import TEXT, as_text, opened, stamp_of
 from sensor_model.files.reading import brief, reading
 
-DEPTH = 64  # of lists and objects in each other; deeper ones exhaust what walks through them
+DEPTH = 64  # of lists and objects in each other; deeper ones exhaust any code that walks through them
 WHOLE = 2**64  # whole numbers stay below it, as in every other language
 Shape = Any
 _WORDS: dict[Any, str] = {
@@ -78,7 +78,7 @@ def read_once(reads: Reads) -> Iterator[Reads]:
 
 
 def read_already(path: Path) -> Read | None:
-    """What the block of `read_once` that runs now has read of a file; None: nothing."""
+    """The content of a file read in the running block of `read_once`; None: nothing."""
     reads = _reads.get()
     return None if reads is None else reads.get(os.path.abspath(path))
 
@@ -134,7 +134,8 @@ def read_whole(
 def parse_json(
     text: str, where: str, remedy: str = "correct it or put the original back", *, infinite: bool = False
 ) -> Any:
-    """A value from JSON text, with what readers go wrong on refused: see `DEPTH`, `WHOLE`; NaN, infinity, equal keys.
+    """A value from JSON text, refusing values that readers go wrong on: see `DEPTH`, `WHOLE`; NaN, infinity, equal
+    keys.
 
     Args:
         text: The JSON.

@@ -13,7 +13,7 @@ Row = TypeVar("Row")
 
 
 def loaded(reference: str) -> Any:
-    """What "module:NAME" stands for.
+    """The object named "module:NAME".
 
     Raises:
         ValueError: If the text is not of this form.

@@ -49,7 +49,7 @@ MEASURE_FROM = 3 * 10**8
 ERROR_SEEN = (
     "relative_error is the spread between two or more independent passes: noise only; var.R/G/B is their variance over "
     "3 x 3 pixels, 9 degrees of freedom from two passes. error adds the light left out by the plan, at most (left_out: "
-    "the whole picture, then its quarters by brightness, darkest first). Neither sees a caustic that no pass has found, "
+    "the whole picture, then its quarters by brightness, darkest first). Neither sees a caustic that no pass found, "
     "nor spectra that RGB stands for; see plan."
 )
 

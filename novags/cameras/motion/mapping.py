@@ -24,7 +24,7 @@ from sensor_model.files.scratch import scratch
 
 @dataclass(frozen=True)
 class Scene:
-    """What matches are found in: pictures in a folder, known to an empty database.
+    """The input of matching: pictures in a folder, known to an empty database.
 
     Attributes:
         root: The folder, for files of the caller's too.
@@ -147,7 +147,7 @@ def from_reconstruction(
         seed: Of the choice of points.
         what: Made the reconstruction, for messages.
         kind: Of pictures, for messages.
-        advice: What to try where too few views have a pose, beside other pictures.
+        advice: A remedy where too few views have a pose, beside other pictures.
 
     Raises:
         ValueError: If fewer than 2 views have a pose, or if a lens is not a pinhole.

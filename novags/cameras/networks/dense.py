@@ -16,7 +16,7 @@ from novags.cameras.estimate import Array, CameraEstimate, as_estimate
 from novags.cameras.points import averaged, project, subset
 
 Index = NDArray[np.intp]
-LARGEST_MISS = 2.0  # px of a prepared picture, twice what conventions of half a pixel and rounding make of it
+LARGEST_MISS = 2.0  # px of a prepared picture, twice the effect of conventions of half a pixel and of rounding
 HEADS_MISS = 10.0  # the same for points of another part of the network, which is as right as the network is
 UNSOUND = "check the weights, or run it with --device cpu"  # what to do about a network that computes nonsense
 
@@ -137,7 +137,7 @@ def from_pixels(
         window: Which part of the pictures those are.
         colors_from: [C, h, w, 3] dark images, 0..1.
         other_points: Where another part of the network sees the same pixels [P, 3]. Needed where `points` were made
-            with these cameras, which then see them at their pixels whatever the cameras are; None: `points`.
+            with these cameras, which then see them at their pixels for any cameras; None: `points`.
 
     Raises:
         ValueError: If cameras are not finite, or if points are not seen at their pixels: then this version of the
@@ -165,7 +165,7 @@ def from_pixels(
 
 
 def _miss(points: Array, pixels: Array, view: Index, viewmats: Array, Ks: Array) -> float:
-    """Distance between pixels and where their views see the points, px; infinite for those behind the camera.
+    """Distance between pixels and where their views see the points, px; infinite for points behind the camera.
 
     Median over the views of their medians: the first view alone, whose pose often is the identity, shows nothing.
     """

@@ -1,7 +1,7 @@
 """Cameras and points from DUSt3R, with the user's own installation and weights (both CC BY-NC-SA 4.0).
 
 Parts of the package in use: `dust3r.model.AsymmetricCroCo3DStereo`, `dust3r.image_pairs.make_pairs`,
-`dust3r.inference.inference` and `dust3r.cloud_opt.global_aligner`, as its README calls them. What comes back: poses
+`dust3r.inference.inference` and `dust3r.cloud_opt.global_aligner`, as its README calls them. The results: poses
 camera-to-world, focal lengths and principal points in px of the prepared pictures with pixel centres at 0, 1, ..., and
 a world point and a confidence for each pixel.
 

@@ -62,7 +62,7 @@ def mast3r_cameras(
     check_views(pictures, colors_from, n_points)
     check_installed(config)
     views, window = as_its_loader(pictures)
-    # First: importing this package is what makes the DUSt3R that comes with it importable.
+    # First: importing this package makes the DUSt3R that comes with it importable.
     model_class = part("mast3r", "mast3r.model").AsymmetricMASt3R
     align = part("mast3r", "mast3r.cloud_opt.sparse_ga").sparse_global_alignment
     make_pairs = part("mast3r", "dust3r.image_pairs").make_pairs

@@ -48,7 +48,7 @@ def part(source: str, module: str) -> Any:
         return importlib.import_module(module)
     except ImportError as error:
         raise ValueError(
-            f"cameras {source}: {module} cannot be imported ({error}): install what its package asks for"
+            f"cameras {source}: {module} cannot be imported ({error}): install the packages it asks for"
         ) from error
 
 

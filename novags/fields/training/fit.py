@@ -68,7 +68,7 @@ def fit_field(
         loss: Scalar loss of a Batch, to which the distortion is added.
         config: How to train.
         at_points: Scalar loss of (which of the points [n], the field's outputs there [n, K]), with `config.anchored` as
-            its weight; None: rays alone say what the field shows.
+            its weight; None: rays alone decide on the field.
         extra: Further tensors to be trained, by name, at their start; the loss reads what `fit_field` has trained from
             these same tensors, which it changes in place.
         progress: Called every LOG_EVERY steps and at the end with (steps done, of how many, log entry).

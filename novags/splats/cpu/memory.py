@@ -1,4 +1,4 @@
-"""Recycled arrays: what one iteration frees, the next one takes, without new pages from the operating system."""
+"""Recycled arrays: the next iteration takes the memory that one frees, without new pages from the operating system."""
 
 import ctypes
 import math

@@ -107,7 +107,7 @@ class Wave:
 
 @dataclass(kw_only=True)
 class TileState:
-    """What compositing four channels leaves in every tile; see `composite`."""
+    """The state of every tile after compositing four channels; see `composite`."""
 
     trans: np.ndarray
     color: np.ndarray
@@ -117,7 +117,7 @@ class TileState:
 
 @dataclass(kw_only=True)
 class Frame:
-    """One rendered camera: what the backward pass needs."""
+    """One rendered camera: the data that the backward pass needs."""
 
     camera: Camera
     vector: np.ndarray  # of the camera
@@ -132,7 +132,7 @@ class Frame:
 
 def _rows(sh: np.ndarray) -> np.ndarray:
     """[N, K, 3] as [N, 3 K]."""
-    return sh.reshape(len(sh), 3 * sh.shape[1])  # said in full: numpy cannot tell what -1 is for no Gaussians
+    return sh.reshape(len(sh), 3 * sh.shape[1])  # said in full: numpy cannot resolve -1 for no Gaussians
 
 
 def _new_state(n_tiles: int) -> TileState:

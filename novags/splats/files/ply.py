@@ -118,7 +118,7 @@ def read_ply(path: str | Path) -> Gaussians:
         if kind != "binary_little_endian":
             raise ValueError(f"{path} must be binary_little_endian, got {kind or 'no format line'}; convert it first")
         there = path.stat().st_size - file.tell()
-        if n < 0 or there < n * record.itemsize:  # before anything is allocated for what the header announces
+        if n < 0 or there < n * record.itemsize:  # before anything is allocated for the announced size
             raise ValueError(
                 f"{path} must hold {n} vertices of {record.itemsize} bytes, but only {there} bytes are there"
             )

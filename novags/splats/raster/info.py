@@ -1,4 +1,4 @@
-"""What `rasterize` returns besides image and alpha: its third result, with the names and shapes of gsplat's."""
+"""The result of `rasterize` besides image and alpha: the third one, with the names and shapes of gsplat's."""
 
 import weakref
 from collections.abc import Callable, Iterator, Mapping

@@ -75,7 +75,7 @@ def rasterize(
         sh_degree: Highest spherical-harmonics degree to use (0..3), or None for plain colours.
         packed: Info has one row for each visible pair of camera and Gaussian [nnz, ...], else [C, N, ...].
         tile_size: None or 16; images do not depend on it.
-        backgrounds: [D] or [C, D], dtype as the rest, shown through what alpha leaves; None is black. Not behind depth.
+        backgrounds: [D] or [C, D], dtype as the rest, shown with the weight 1 - alpha; None is black. Not behind depth.
         render_mode: "RGB", "D" (accumulated depth), "ED" (expected depth: accumulated over alpha), "RGB+D", "RGB+ED".
         sparse_grad: The gradients of means, quats and scales are sparse tensors of the visible rows; needs `packed`.
         absgrad: The backward pass leaves the sums over pixels of the absolute gradients of the projected centres in

@@ -207,7 +207,8 @@ class FitConfig:
 
     @property
     def unit(self) -> float:
-        """World units per unit of length of the fit: 1 for a scene of usual size, else what gives it extent `UNUSUAL`.
+        """World units per unit of length of the fit: 1 for a scene of usual size, else the number that gives it extent
+        `UNUSUAL`.
 
         Otherwise, in millimetres instead of metres, regularisation would flatten all splats, and a scene a thousandth
         of a unit in size would lie in front of the near plane.

@@ -30,7 +30,7 @@ STEPS = 10  # iterations after which the coefficients are checked again
 
 
 class DirectFit:
-    """The cameras of a fit, checked once, and what its iterations share."""
+    """The cameras of a fit, checked once, and the memory that its iterations share."""
 
     def __init__(
         self, views: Views, config: FitConfig,

@@ -95,7 +95,7 @@ def render_step(
         scales: Of the Gaussians, activated [N, 3].
         opacities: Of the Gaussians, activated [N].
         views: All training views.
-        view: Index of the one to render.
+        view: Index of the view to render.
         iteration: From 0.
         iterations: Of the whole run.
         sh_degree: Highest spherical-harmonics degree to render, 0..3.

@@ -3,7 +3,7 @@
 Every thread that takes part runs the whole chain. `control` counts, for each stage, the parts taken and the parts done;
 no thread goes past a stage while any part of it is still being worked on. A thread that comes late finds nothing left
 in the stages behind and runs through them; one that never comes is not waited for. So a chain is, like `parallel.run`,
-as fast as the threads that the operating system does schedule, and its results do not depend on who did what.
+as fast as the threads that the operating system does schedule, and its results do not depend on the sharing of work.
 """
 
 # mypy: allow-untyped-defs
@@ -87,13 +87,13 @@ def wait(control, stage, n):
 
 @inline
 def alone(control, stage):
-    """Whether this thread is the one to do a stage of one item; it then has to call `done`, and all have to `wait`."""
+    """Whether this thread has to do a stage of one item; it then has to call `done`, and all have to `wait`."""
     return _fetch_add(control, stage * SLOT, 1) == 0
 
 
 @inline
 def done(control, stage):
-    """Mark what one thread does `alone` as done."""
+    """Mark a stage that one thread does `alone` as done."""
     _fetch_add(control, stage * SLOT + DONE, 1)
 
 

@@ -22,7 +22,7 @@ class Adam:
 
     def __init__(self, gaussians: Gaussians) -> None:
         self.count = 0
-        # Contiguous whatever the tensors are: like them the moments are updated in place.
+        # Contiguous for any tensors: like them the moments are updated in place.
         zeros = partial(torch.zeros_like, memory_format=torch.contiguous_format)
         self.first = {name: zeros(tensor) for name, tensor in gaussians.tensors().items()}
         self.second = {name: zeros(tensor) for name, tensor in gaussians.tensors().items()}
