@@ -56,7 +56,7 @@ def run(
             folder: one of novags, nerfstudio, instant-ngp, NeRF-synthetic, COLMAP or LLFF.
         photos: Instead of a scene: a folder of photographs without poses, or a video file; the poses are found first.
         fps: Frames to take from each second of the video; 2 if not given.
-        define: What a parameter of a Mitsuba file stands for, NAME=VALUE; may be given several times.
+        define: The value of a parameter of a Mitsuba file, NAME=VALUE; may be given several times.
         level: Camera, electrons and pictures of one of the paper's data sets: lom, llnerf, llrs or mvtv, with -3chip
             without demosaicing; `novags list levels` shows them. --sensor and --electrons change it.
         sensor: A camera of sensor_model.PRESETS, or a TOML file of your own.
@@ -101,7 +101,7 @@ def run(
     check_numbers(workers, cluster)
     side_by_side = engine == "ray" or workers is not None or cluster != CLUSTER
     if budget is not None and side_by_side:
-        raise ValueError("a budget predicts what one method after another takes: leave out --budget, or --workers and "
+        raise ValueError("a budget predicts the time of one method after another: leave out --budget, or --workers and "
                          "--engine")  # fmt: skip
     chosen = adapted(
         EXPERIMENTS[preset], scene=scene, photos=photos, fps=fps, level=level, sensor=sensor, electrons=electrons,
@@ -134,7 +134,7 @@ def run(
 
 
 def _compared(methods: tuple[str, ...] | None, variant: Repeated) -> tuple[str, ...] | None:
-    """What `--methods` names and the variants that are spelled out; from a file of variants `--methods` chooses."""
+    """The methods of `--methods` and the variants that are spelled out; from a file of variants `--methods` chooses."""
     spelled = variants_of(tuple(text for text in variant if not text.endswith(".toml")))
     return methods and (*methods, *(each.name for each in spelled if each.name not in methods))
 

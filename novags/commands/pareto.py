@@ -1,4 +1,4 @@
-"""`novags pareto`: what accuracy costs in time."""
+"""`novags pareto`: the cost of accuracy in time."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,7 +16,7 @@ def pareto(
     what: Name, *, out: Path, store: str | None = None, knobs: tuple[str, ...] = (), quick: bool = False,
     repeats: int | None = None, overwrite: bool = False, wait: bool = False, dry_run: bool = False,
 ) -> None:  # fmt: skip
-    """Measure what accuracy costs in time: every knob's error against its seconds, see docs/accuracy-and-time.md.
+    """Measure the cost of accuracy in time: every knob's error against its seconds, see docs/accuracy-and-time.md.
 
     It is a study whose runs are measurements, one at a time with the whole machine. Each goes to the store at once: the
     same command again makes only missing ones.
@@ -27,7 +27,7 @@ def pareto(
         out: Folder of the curves (curves.jsonl), of a figure and tables for each of these, and of the tables of their
             studies.
         store: Folder of all measurements, which studies share; `store` beside `out` if not given.
-        knobs: Measure these alone, by name; what the store has of the others stays.
+        knobs: Measure these alone, by name; stored measurements of the others stay.
         quick: Small sizes and fewer settings: minutes instead of hours for all. The sizes stand in every line.
         repeats: Measurements of each setting, whose spread gives the error bars; 3 if not given, 2 with --quick.
         overwrite: Replace tables of other sizes that lie in `out`.

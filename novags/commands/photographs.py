@@ -16,7 +16,7 @@ def import_(
     overwrite: bool = False, wait: bool = False,
     dry_run: bool = False,
 ) -> None:  # fmt: skip
-    """Make a capture of photographs that were taken in the dark, with what truth there is about them.
+    """Make a capture of photographs that were taken in the dark, with all truth there is about them.
 
     Args:
         folder: Dark photographs with cameras: a nerfstudio, instant-ngp or NeRF-synthetic folder (transforms*.json), a

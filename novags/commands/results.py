@@ -99,7 +99,7 @@ def export_results(
     Args:
         runs: Folders of runs, of experiments, of studies, or folders that hold runs and experiments.
         out: Folder for results.json and METHOD/SCENE/.
-        reference: What pictures are compared with: the views in good light, or the enhanced noise-free exposures.
+        reference: The reference of pictures: the views in good light, or the enhanced noise-free exposures.
         dataset: Name of the data set in these files.
         overwrite: Replace results that are there.
         wait: If another process is writing there, wait until it is done instead of refusing.
@@ -164,7 +164,7 @@ def characterise(
 
     Args:
         folder: dark/NAME/* and flat/NAME/*, each NAME some frames of one exposure (raw files, 16-bit PNG or TIFF, npy),
-            and frames.toml for what the files do not state: bits, exposure times, photons, eta.
+            and frames.toml for values that the files do not state: bits, exposure times, photons, eta.
         out: The TOML file.
         window: Side of the central square of the sensor that is used, in pixels.
         overwrite: Replace a file of other content.

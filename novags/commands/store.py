@@ -26,7 +26,7 @@ def store(
         folder: The store.
         refer: Of prune: the studies whose entries stay: their folders (--out), or their files, whose entries of now
             stay. All that these were made from stays too.
-        dry_run: Only say what would be removed.
+        dry_run: Only name the entries to remove.
     """
     from novags.testbed.ledger.pruning import entries, unreferenced
     from novags.testbed.ledger.store import KINDS

@@ -51,7 +51,7 @@ def study(
 
     with ExitStack() as stack:
         ahead = stack.enter_context(started_ahead(workers)) if engine == "local" and not dry_run else []
-        read_toml(file)  # says at once if it cannot be parsed; what comes next takes seconds to load
+        read_toml(file)  # says at once if it cannot be parsed; the next modules take seconds to load
         from novags.testbed.study.curves.measuring import read_any
         from novags.testbed.study.plan import plan_of
 
@@ -115,7 +115,7 @@ def engine_of(
 
     if name == "ray":
         if workers is not None:
-            raise ValueError("workers are processes on this machine; with --engine ray --needs says what tasks take")
+            raise ValueError("workers are processes on this machine; with --engine ray --needs states their needs")
         return Nodes(read_needs(cluster.needs), cluster.address, cluster.retries, url, cluster.scratch)
     if cluster != CLUSTER:
         raise ValueError("address, needs, retries and scratch belong to --engine ray")
@@ -125,7 +125,7 @@ def engine_of(
 
 
 def _whole(asked: "Engine", ahead: "Sequence[Worker]") -> "Engine":
-    """This machine, one task at a time; refuses what asks for another or for more."""
+    """This machine, one task at a time; refuses options for others or for more."""
     from novags.testbed.study.engines.choice import OneMachine
 
     if not isinstance(asked, OneMachine):

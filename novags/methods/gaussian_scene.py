@@ -41,7 +41,7 @@ class GaussianScene:
 
     @staticmethod
     def of(gaussians: Gaussians, config: FitConfig) -> "GaussianScene":
-        """What a fit with this configuration has trained."""
+        """The scene that a fit with this configuration has trained."""
         return GaussianScene(gaussians, config.eps2d, config.antialiased, config.near_plane)
 
     def render(self, views: Views) -> tuple[Tensor, Tensor, Tensor]:

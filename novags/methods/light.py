@@ -1,4 +1,4 @@
-"""What a camera has measured, as light of known variance: for methods that work on data instead of pictures."""
+"""A camera's measurements, as light of known variance: for methods that work on data instead of pictures."""
 
 from dataclasses import dataclass, replace
 
@@ -74,7 +74,7 @@ def measured_light(
     zero = linear16.new_tensor(curve.black)
     if curve.matrix is not None:
         zero = linear16.new_tensor(curve.matrix) @ zero
-    white = linear16.new_tensor(curve.white).clamp_max(1.0) - zero  # the files end at 1, whatever the balance
+    white = linear16.new_tensor(curve.white).clamp_max(1.0) - zero  # the files end at 1, for any balance
     curve = _scaled(curve, [1.0] * 3) if curve.matrix is None else _of_grey(noise.linear16, zero)
     return MeasuredLight(light=linear16 - zero, noise=Variance(curve), white=white, matrix=None, shared=shared)
 

@@ -40,13 +40,13 @@ PIXELS = 4_000_000  # of all views together: more make no estimate better that t
 
 @dataclass(frozen=True)
 class CameraFigures:
-    """What raw frames say about their camera.
+    """Facts about a camera from its raw frames.
 
     Attributes:
         gain: DN per electron.
         black: DN without light.
-        read_noise: Standard deviation without light, electrons: read noise, and whatever else does not grow with the
-            light.
+        read_noise: Standard deviation without light, electrons: read noise, and all other noise that does not grow with
+            the light.
     """
 
     gain: float
@@ -80,7 +80,7 @@ def noise_from(srgb8: Tensor, linear16: Tensor | None, raw: RawPictures | None, 
         srgb8: The 8-bit pictures [C, H, W, 3], sRGB-encoded in 0..1; used where there are no 16-bit ones.
         linear16: The linear ones [C, H, W, 3], or None.
         raw: The raw frames, or None.
-        mixed: Whether a colour matrix mixed the channels: then no pixel shows what its own filter measured.
+        mixed: Whether a colour matrix mixed the channels: then no pixel shows its own filter's measurement.
     """
     cfa = None if raw is None or mixed else raw.cfa
     if linear16 is not None:
@@ -202,8 +202,8 @@ def _binned(plane: Tensor, reach: int) -> tuple[Tensor, Tensor]:
     """Mean and noise variance of flat pixels of every range of brightness, for a stack [C, H, W].
 
     Where neighbours are compared, pixels are sorted by the 16 around the 3 x 3 whose mean is taken: with one mean for
-    both, the darkest bin would hold what noise has darkened, and the line would be too flat. Pixels compared over a
-    longer `reach` (px) are themselves among the 16, so that there all 25 serve for both.
+    both, the darkest bin would hold pixels that noise has darkened, and the line would be too flat. Pixels compared
+    over a longer `reach` (px) are themselves among the 16, so that there all 25 serve for both.
     """
     stack = plane[:, None]
     response = F.conv2d(stack, _MASK.to(plane)[None, None], dilation=reach)[:, 0]

@@ -1,10 +1,10 @@
-"""What the colours of Gaussians stand for if not for a picture: tones of light, or radiance that a camera responds to.
+"""Meanings of the colours of Gaussians other than a picture: tones of light, or radiance that a camera responds to.
 
 Tones are about logarithmic, so that dark and bright parts take their share of the Gaussians:
 
     lin(r) = top * expm1(k r) / expm1(k)        r = 0 is black, r = 1 is `top`
 
-k is chosen so that the logarithm's knee, top / expm1(k), is a sixth of the median of the scene, whatever lamp sets
+k is chosen so that the logarithm's knee, top / expm1(k), is a sixth of the median of the scene, for any lamp that sets
 `top`: the median then lies at r = ln 7 / k, 0.4 to 0.5 in most scenes here. Linear colours would spend most Gaussians
 on the brightest parts.
 """
@@ -115,7 +115,7 @@ class ResponseTable:
             )
 
     def codes(self, radiance: Tensor) -> Tensor:
-        """What a picture shows of radiance of any shape; negative radiance counts as black."""
+        """The codes of radiance of any shape; negative radiance counts as black."""
         logs = torch.log(radiance.clamp_min(0) + self.faint)
         table, last = radiance.new_tensor(self.values), len(self.values) - 1
         place = ((logs - self.low) / (self.high - self.low)).clamp(0, 1) * last

@@ -1,4 +1,4 @@
-"""Assertions with known truth. What the code under test returned wrong is an `AssertionError` with the numbers; a bound
+"""Assertions with known truth. A wrong result of the code under test is an `AssertionError` with the numbers; a bound
 on something that there is not is a `ValueError`.
 """
 
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from novags.testing.known import PosedViews
 
 SMALLER_IS_BETTER = ("flip", "delta_e", "lpips", "abs_rel", "floaters", "rotation_deg", "centre_error")
-WHITE = 0.97  # quantile of the true light that counts as white: the raw data's own is far above all that is dark
+WHITE = 0.97  # quantile of the true light that counts as white: the raw data's own is far above all dark pixels
 GROUPS = 4  # of pixels by brightness, in each of which the noise must fit
 
 
@@ -198,7 +198,7 @@ def _numbers(what: str, given: ArrayLike, shape: Sequence[int]) -> NDArray[np.fl
 
 
 def _array(what: str, given: Any) -> NDArray[Any]:
-    """Whatever holds real numbers as an array: lists of tensors, and such as are trained, too."""
+    """Any container of real numbers as an array: lists of tensors, and trained tensors, too."""
     __tracebackhide__ = True
     if hasattr(given, "detach"):  # a tensor of torch; its narrow floats are unknown to NumPy
         found = given.detach().cpu()

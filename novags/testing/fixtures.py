@@ -11,7 +11,7 @@ from novags.testing.known import DarkCapture
 
 
 class MakeDarkCapture(Protocol):
-    """What the fixture `dark_capture` is."""
+    """The function behind the fixture `dark_capture`."""
 
     def __call__(self, scene: str | None = None, electrons: float = 20.0, **settings: Any) -> DarkCapture:
         """See the fixture."""

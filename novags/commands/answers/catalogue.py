@@ -30,7 +30,7 @@ def table(rows: Iterable[tuple[str, str]]) -> str:
 
 
 def scenes() -> str:
-    """The catalogue of scenes with what each is made for."""
+    """The catalogue of scenes with the purpose of each."""
     from simscenes.scenes import SCENES
 
     rows = [(name, first_sentence(scene.text)) for name, scene in SCENES.items()]

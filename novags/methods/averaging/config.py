@@ -13,7 +13,7 @@ Kernel = Literal["cubic", "linear"]
 class AveragingConfig:
     """The exposures to average, and when a view counts as seeing a pixel.
 
-    The surface is taken to look the same from everywhere: what shines or mirrors is averaged all the same, and costs
+    The surface is taken to look the same from everywhere: shiny things and mirrors are averaged all the same, and costs
     the noise-free average too.
     """
 

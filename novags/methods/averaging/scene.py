@@ -1,4 +1,4 @@
-"""The training exposures as a scene: whatever camera is asked for, they are brought to it and averaged."""
+"""The training exposures as a scene: they are brought to any requested camera and averaged."""
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -47,7 +47,7 @@ def average(
         sources: Cameras of the exposures.
         exposures: Linear light.
         variances: Of the exposures' noise, > 0, the same shape.
-        rules: What counts as seeing a pixel.
+        rules: When a view counts as seeing a pixel.
         rows: Flat indices [n] of the wanted pixels; None: all.
     """
     rows = np.arange(target.planes[..., 0].size) if rows is None else rows
@@ -74,7 +74,7 @@ class AveragedScene:
         exposures: Linear light [C, h, w, 3].
         variances: Of the exposures' noise.
         known: Every camera whose surface is known, held-out ones too.
-        rules: What counts as seeing a pixel; where nothing does, edges and coarse pixels count too.
+        rules: When a view counts as seeing a pixel; where none does, edges and coarse pixels count too.
         enhance: (sRGB-encoded [h, w, 3], index of the training view whose camera is the nearest) -> enhanced.
     """
 

@@ -38,7 +38,7 @@ class Rules:
 
 
 def warp(target: Camera, source: Camera, rows: NDArray[np.intp], rules: Rules) -> tuple[csr_array, Mask]:
-    """What some pixels of `target` take from `source`.
+    """The samples that some pixels of `target` take from `source`.
 
     Args:
         target: The camera whose picture is wanted.
@@ -130,7 +130,7 @@ def _finest(homographies: Array, centres: Array) -> Array:
 def _places(centres: Array, steps: Array, homographies: Array, count: int) -> Array:
     """Image points of the source at which pixels are sampled, [n, count^2, 2].
 
-    A pixel of the source is an average over its own area already. The samples are spread over what lacks to the area of
+    A pixel of the source is an average over its own area already. The samples are spread over the rest of the area of
     the target's pixel: variances of box filters add.
     """
     reach = np.sqrt(np.maximum(0.0, 1 - 1 / np.maximum(steps, 1.0) ** 2))

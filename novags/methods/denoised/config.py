@@ -33,7 +33,7 @@ class AdaptConfig:
 class DenoiseConfig:
     """How the pictures are denoised."""
 
-    adapt: AdaptConfig | None = field(default_factory=AdaptConfig)  # to the capture; None: the network as it comes
+    adapt: AdaptConfig | None = field(default_factory=AdaptConfig)  # to the capture; None: the network as shipped
     turns: int = TURNS  # flips and quarter turns whose estimates are averaged
 
     def __post_init__(self) -> None:

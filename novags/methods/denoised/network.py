@@ -16,7 +16,7 @@ from novags.methods.denoised.packing import filled, pack, unpack
 CHANNELS = 12  # of a packed cell: three colours of 2 x 2 pixels
 SCALE = 8.0  # of local means in units of the noise: brings twenty electrons to about one
 LARGEST_READ_VARIANCE = 18.0  # electrons**2, of the cameras in training
-WINDOW = 5  # px, of local means: the network is given what differs from them, in which noise is of order one
+WINDOW = 5  # px, of local means: the network is given the difference from them, in which noise is of order one
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -72,7 +72,7 @@ class Adaptation:
         return ((found - wanted).square() / (variance * (1 + 1 / a**2))).sum() / mask.sum()
 
     def advance(self) -> float:
-        """One step; returns the loss, about 1 plus what the estimate is off.
+        """One step; returns the loss, about 1 plus the error of the estimate.
 
         Raises:
             ValueError: If the loss is not finite.

@@ -1,4 +1,4 @@
-"""Denoise the raw data, develop, enhance, then fit Gaussians to the result: what 2D denoising alone can give."""
+"""Denoise the raw data, develop, enhance, then fit Gaussians to the result: the limit of 2D denoising alone."""
 
 import dataclasses
 import hashlib

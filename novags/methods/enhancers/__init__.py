@@ -76,7 +76,7 @@ def refuse_without_weights(config: Any, name: str) -> None:
 
 
 def enhancement_record(config: Enhancement, pictures: Pictures) -> dict[str, Any]:
-    """What a run records about its enhancement.
+    """A run's record of its enhancement.
 
     Raises:
         ValueError: If no enhancer has such a configuration.

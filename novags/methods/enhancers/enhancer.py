@@ -33,7 +33,7 @@ class Enhancer:
 
 
 def stamps(config: Any) -> tuple[tuple[int, ...], ...]:
-    """What changes when a file of weights does that a configuration names; beside it in keys of results."""
+    """A digest that changes with the files of weights that a configuration names; beside it in keys of results."""
     return tuple(_stamp(path) for path in getattr(config, "weights", None) or ())
 
 

@@ -69,7 +69,7 @@ def guided_filter(image: Tensor, radius: int, epsilon: Tensor) -> Tensor:
 
 
 def _guides(images: Tensor, config: EnhanceConfig) -> Tensor:
-    """What the brightness maps are made of, [B, 3, H, W] or [B, 1, H, W], from images [B, 3, H, W]."""
+    """The source of the brightness maps, [B, 3, H, W] or [B, 1, H, W], from images [B, 3, H, W]."""
     if config.guide == "channel":
         return images
     return (images * images.new_tensor(LUMINANCE)[:, None, None]).sum(1, keepdim=True)

@@ -53,7 +53,7 @@ class Illumination(nn.Module):
         self.out_conv = nn.Sequential(_conv(width, 3), nn.Sigmoid())
 
     def added(self, x: Tensor) -> Tensor:
-        """H(x), what an illumination has beyond the picture."""
+        """H(x), the difference between illumination and picture."""
         seen = self.in_conv(x)
         for block in self.blocks:
             seen = seen + block(seen)

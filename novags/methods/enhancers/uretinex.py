@@ -26,7 +26,7 @@ from torch import Tensor, nn
 from novags.methods.enhancers.networks import Kind
 
 ROUNDS = 3
-FIRST_R, FIRST_L, MORE = 0.1, 0.5, 0.05  # weights of the first round, and what each further one adds
+FIRST_R, FIRST_L, MORE = 0.1, 0.5, 0.05  # weights of the first round, and the increment of each further one
 LEAK = 0.2
 
 
@@ -68,7 +68,7 @@ class Squeeze(nn.Module):
 
 
 class Reflectance(nn.Module):
-    """P and Q -> R: P and what eight convolutions add."""
+    """P and Q -> R: P plus the output of eight convolutions."""
 
     def __init__(self) -> None:
         super().__init__()

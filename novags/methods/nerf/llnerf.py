@@ -69,7 +69,7 @@ def first_illumination(images: Tensor) -> float:
 
 
 def decomposed(batch: Batch, first: float) -> Decomposed:
-    """What the rays of a batch show; first: from `first_illumination`."""
+    """The colours of the rays of a batch; first: from `first_illumination`."""
     reflectance, illumination, level, gamma = split(batch.raw, first)
     values = (
         reflectance * illumination, reflectance.detach() * brightened(illumination.detach(), level, gamma), reflectance,

@@ -11,8 +11,8 @@ USUAL = 0.025  # error at which its slope and the slope of e^2 agree: other loss
 def robust(errors: Tensor) -> Tensor:
     """Mean of 2 USUAL sqrt(e^2 + ROUNDED^2), which is |e| but for its tip; Charbonnier et al. 1994.
 
-    Glass, mirrors and what only one view sees leave large errors, which no field of a static scene can remove; squared,
-    they distort everything around them.
+    Glass, mirrors and things that only one view sees leave large errors, which no field of a static scene can remove;
+    squared, they distort everything around them.
     """
     return 2 * USUAL * (errors.square() + ROUNDED**2).sqrt().mean()
 

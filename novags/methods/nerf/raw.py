@@ -63,7 +63,7 @@ def train(
 
 
 def first_unit(data: MeasuredLight) -> float:
-    """Light of an output of 0, which is what the field says at first: the mean of the data.
+    """Light of an output of 0, the field's first output: the mean of the data.
 
     Where it begins brighter than the pictures, it becomes darker by becoming thinner, and loses the first surfaces.
     """
@@ -71,7 +71,7 @@ def first_unit(data: MeasuredLight) -> float:
 
 
 def numbers_of(data: MeasuredLight, unit: float) -> dict[str, float]:
-    """What the shading `light` needs to show this light in linear sRGB."""
+    """The numbers that the shading `light` needs to show this light in linear sRGB."""
     if data.matrix is None:
         return {"unit": unit}
     return {"unit": unit, **{f"m{i}{j}": float(data.matrix[i, j]) for i in range(3) for j in range(3)}}

@@ -1,4 +1,4 @@
-"""What the outputs of a field look like: one function per kind, by the name that is kept with a saved field.
+"""Colours from the outputs of a field: one function per kind, by the name that is kept with a saved field.
 
 The last columns of `raw` are the outputs that depend on the view.
 """
@@ -20,7 +20,7 @@ def display(raw: Tensor, weights: Tensor, numbers: Numbers) -> Tensor:
 
 
 def at(raw: Tensor, shading: Callable[[Tensor, Tensor], Tensor]) -> Tensor:
-    """What opaque surfaces with these outputs [n, K] look like: [n, 3]; shading: of (raw, weights)."""
+    """Colours of opaque surfaces with these outputs [n, K]: [n, 3]; shading: of (raw, weights)."""
     return shading(raw[:, None], raw.new_ones(len(raw), 1))
 
 

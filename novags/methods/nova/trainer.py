@@ -166,7 +166,7 @@ class _Training:
         """Save the state of the networks before the step that stopped, if the splats are saved in that state too."""
         if not stop.resumable:
             return
-        if not self.stepping:  # what this iteration's backward pass has left would count twice when it is done again
+        if not self.stepping:  # gradients of this iteration's backward pass would count twice when it is done again
             for part in (self.geo, self.denoiser):
                 if part is not None:
                     part.optimizer.zero_grad(set_to_none=True)

@@ -33,7 +33,7 @@ class Verdict:
 
 
 def compare(tones: Tensor, other: Tensor, data: Exposures, curve: ToneCurve, weights: Tensor) -> Verdict:
-    """What held-out data say of two reconstructions of the training views.
+    """The verdict of held-out data on two reconstructions of the training views.
 
     For a datum y that no fit has seen, (y - mu)**2 is v + (mu - truth)**2 on average. The difference between two
     reconstructions a and b is therefore the difference of their squared errors, and most of the noise cancels: (y -

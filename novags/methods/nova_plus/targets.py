@@ -1,4 +1,4 @@
-"""What the training views should show in stage 2: estimates of their light from different evidence."""
+"""Targets of the training views in stage 2: estimates of their light from different evidence."""
 
 from dataclasses import replace
 

@@ -61,7 +61,7 @@ class Denoiser(nn.Module):
 
 @dataclass(frozen=True)
 class DenoisedScene:
-    """Gaussians, the noise of each, and what refines it.
+    """Gaussians, the noise of each, and the networks that refine it.
 
     Attributes:
         base: The Gaussians with their colours.

@@ -33,7 +33,7 @@ from novags.splats.training.fit import fit
 from novags.splats.training.losses import photometric_loss
 from novags.splats.training.step import Step
 
-ANCHOR = 0.5  # weight of what fixes the unit of radiance
+ANCHOR = 0.5  # weight of the term that fixes the unit of radiance
 HIDDEN = 32
 FAINT = 1e-4  # added to radiance: the logarithm of black has no slope that a fit could follow
 BRIGHTEST = 1 - 1e-3  # of a code, for the first radiance: the radiance of white would be infinite
@@ -44,7 +44,7 @@ ENDS = (math.log(FAINT), 20.0)
 
 
 class Response(nn.Module):
-    """Codes 0..1 from the logarithm of what falls on the sensor, of any shape; g(0) = 1/2 at first."""
+    """Codes 0..1 from the logarithm of the light on the sensor, of any shape; g(0) = 1/2 at first."""
 
     def __init__(self) -> None:
         super().__init__()

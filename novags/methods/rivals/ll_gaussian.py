@@ -48,7 +48,7 @@ def parts_of(gaussians: Gaussians) -> tuple[Tensor, Tensor]:
 def shaded(sh: Tensor, factor: Tensor) -> Tensor:
     """Harmonics [N, K, 3] of factor [N, 1] x colour."""
     scaled = factor[..., None] * sh
-    base = 0.5 * (factor - 1) / C0  # colours are 0.5 above what the harmonics say
+    base = 0.5 * (factor - 1) / C0  # colours are 0.5 above the harmonics
     return torch.cat([scaled[:, :1] + base[..., None], scaled[:, 1:]], 1)
 
 

@@ -52,7 +52,7 @@ def _of_gpu(error: BaseException) -> bool:
 
 
 def available_bytes() -> int:
-    """Main memory that a further process can take: what the system has free, less where a group of processes has less.
+    """Main memory that a further process can take: the system's free memory, less where a group of processes has less.
 
     Linux says both; elsewhere it is the whole memory, which is an upper bound.
     """
@@ -65,7 +65,7 @@ def available_bytes() -> int:
 
 
 def _left_to_groups() -> Iterator[int]:
-    """What the limits of this process's control groups leave, where they have one (version 2, then 1)."""
+    """The rest within the limits of this process's control groups, where they have one (version 2, then 1)."""
     for group in levels("memory"):
         for limit, used, cached in (
             ("memory.max", "memory.current", "inactive_file"),

@@ -33,7 +33,7 @@ NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
 @dataclass(frozen=True, kw_only=True)
 class DatasetConfig:
-    """What a data set is called and how it is divided.
+    """The name of a data set and its division.
 
     Attributes:
         name: Letters, digits and . _ -
@@ -43,7 +43,7 @@ class DatasetConfig:
         creators: Names.
         url: Where it will be found.
         date: Of publication, YYYY-MM-DD.
-        split_by: What never lies in two splits.
+        split_by: The unit that never lies in two splits.
         split: Share of the units, or list of scenes, of each split.
         shard_mb: Size of WebDataset shards, 1e6 bytes; None: no shards.
         seed: Of the order in which scenes are dealt out to splits.

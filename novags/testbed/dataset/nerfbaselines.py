@@ -56,7 +56,7 @@ def export_results(
         folders: Of runs, experiments or studies, or folders that hold runs and experiments.
         out: Where to write.
         console: Where progress goes.
-        reference: What pictures are compared with: the views in good light, or the enhanced noise-free exposures.
+        reference: The reference of pictures: the views in good light, or the enhanced noise-free exposures.
         dataset: Name of the data set.
         overwrite: Replace results that are there.
 
@@ -68,7 +68,7 @@ def export_results(
     runs = _named(list(runs_in(folders).values()), reference, console)
     places = [out / safe_name(method) / scene for _, method, scene in runs]
     planned(console, "export-results", [out / RESULTS, *(place / name for place in places for name in OWN)])
-    (out / RESULTS).unlink(missing_ok=True)  # an interruption leaves no table that is not of what lies beside it
+    (out / RESULTS).unlink(missing_ok=True)  # an interruption leaves no table that does not fit the files beside it
     lpips = None if PerceptualDistance.missing() is not None else PerceptualDistance()
     identity = dataset if reference == "lit" else f"{dataset}-{reference}"
     table: dict[str, dict[str, Any]] = {}
@@ -105,7 +105,9 @@ def _named(runs: Sequence[Run], reference: str, console: Console) -> list[tuple[
 
 
 def scene_names(capture: Capture) -> Iterator[str]:
-    """What tells a capture from others: scene, camera, light, seed; where that is not enough, size, or its content."""
+    """The values that tell a capture from others: scene, camera, light, seed; where that is not enough, size, or its
+    content.
+    """
     record = capture.record
     parts = [capture.path.name if record.scene is None else record.scene, record.sensor_name or "camera"]
     if (told := record.simulated) is not None:

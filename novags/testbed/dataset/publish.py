@@ -31,7 +31,7 @@ class Entry:
     """A set or a capture of a data set.
 
     Attributes:
-        task: What made it.
+        task: The task that made it.
         scene: The rendered scene, as `spelled` names it.
         split: Where it lies.
         values: Of the axes, of a capture.
@@ -128,7 +128,7 @@ def link(entry: Entry, store: Path, out: Path) -> None:
 
 @dataclass(frozen=True)
 class View:
-    """One view of a capture: what an index row and a sample of a shard say."""
+    """One view of a capture: the content of an index row and of a sample of a shard."""
 
     row: dict[str, Any]
     cameras: MultiviewSet

@@ -103,7 +103,7 @@ def _add(tar: tarfile.TarFile, name: str, content: bytes) -> None:
 
 
 def about(view: View) -> dict[str, Any]:
-    """What a sample says beside its pictures: its row without paths, and its camera."""
+    """The text of a sample beside its pictures: its row without paths, and its camera."""
     rig = view.cameras.rig
     kept = {name: value for name, value in view.row.items() if name not in MEMBERS}
     return {**kept, "viewmat": rig.viewmats[view.i].tolist(), "K": rig.Ks[view.i].tolist(), "width": rig.width,

@@ -1,4 +1,4 @@
-"""A flight through what a run reconstructed, on a smooth path through its training cameras."""
+"""A flight through the reconstruction of a run, on a smooth path through its training cameras."""
 
 from dataclasses import dataclass, field
 from pathlib import Path

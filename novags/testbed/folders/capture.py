@@ -7,7 +7,7 @@ truth/NNNN.exr        digital numbers: analytic mean and variance, noise-free (c
                       filter array also what three chips would give without noise (clean.R, clean.G, clean.B)
 transforms.json ...   the cameras, as in a multiview set
 
-A capture that was imported (`folders.imported`) has of these what its photographs have.
+A capture that was imported (`folders.imported`) has those of these files that its photographs provide.
 """
 
 from collections.abc import Callable
@@ -69,7 +69,7 @@ def write_view(
         demosaic: As for `develop`.
         color_matrix: As for `develop`.
         jpeg_quality: As for `develop`.
-        clean_rgb: Of a frame behind a colour filter array: what all three channels of each pixel would give without
+        clean_rgb: Of a frame behind a colour filter array: the signal of all three channels of each pixel without
             noise, [h,w,3], DN.
     """
     for part in ("raw", "truth"):
@@ -175,7 +175,7 @@ class Capture:
     def clean_linear(self, i: int, *, demosaiced: bool = False) -> np.ndarray:
         """The noise-free exposure in linear light, float32 [h,w,3], in the unit of `linear16`.
 
-        Of a camera with a colour filter array: what all three channels of each pixel would have given. Of imported
+        Of a camera with a colour filter array: the signal of all three channels of each pixel. Of imported
         photographs: the clean long exposure, brought to the light of the dark ones by one factor.
 
         Args:
@@ -274,7 +274,7 @@ class Capture:
 
     @property
     def noise(self) -> Noise | None:
-        """The noise of the camera, or what the training pictures say themselves (`Noise.origin`).
+        """The noise of the camera, or an estimate from the training pictures (`Noise.origin`).
 
         They do where the camera is not known, or pixels were averaged after the exposure; None if they are too small.
         """
@@ -363,7 +363,7 @@ def open_capture(path: Path) -> Capture:
     with read_once({}) as reads:
         record = read_capture_record(path / RECORD)
         known = _OPENED.get(place)
-        # Digests leave out what a record says of costs and inputs: it has to be the same to the byte.
+        # Digests leave out a record's entries on costs and inputs: it has to be the same to the byte.
         if known is not None and known.reads.items() >= reads.items() and known.digest() == known.content:
             return known
         content = folder_digest(path, OWNS)

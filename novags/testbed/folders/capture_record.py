@@ -33,7 +33,7 @@ class Simulated:
         background: Behind transparent pixels of photographs; None: there are none.
         electrons: Mean of green over the set, e-.
         mean_green: Radiance that gave them; None: of an earlier version.
-        signal_quantiles_e: Of what the sensor's channels collect, e-, by the share of pixels that see less.
+        signal_quantiles_e: Of the charge that the sensor's channels collect, e-, by the share of pixels that see less.
         jpeg_quality: None: PNG.
         seed: As asked for.
         noise_seed: Of the noise itself.
@@ -78,7 +78,7 @@ class Imported:
 
 @dataclass(frozen=True, kw_only=True)
 class CaptureRecord:
-    """What capture.json says.
+    """The content of capture.json.
 
     Attributes:
         scene: Its name; None: of an earlier version.
@@ -93,7 +93,7 @@ class CaptureRecord:
         jpeg: Whether some pictures were compressed with losses.
         resampled: How pixels were averaged after the exposure, in words that complete "of their pixels"; None: not.
         files: The photograph of each view, where they were renamed or imported.
-        stage: What the ledger knows of its making: key, configuration, cost, checksums.
+        stage: The ledger's entry on its making: key, configuration, cost, checksums.
         simulated: Of simulated exposures.
         imported: Of photographs.
     """
@@ -119,7 +119,7 @@ def read_capture_record(path: Path) -> CaptureRecord:
     """The capture.json at `path`.
 
     Raises:
-        ValueError: If it is not what the stage wrote.
+        ValueError: If it has changed since the stage wrote it.
     """
     foreign = read_json(path).get("kind") == "imported"
     found = read_json(path, shapes.IMPORT if foreign else shapes.CAPTURE)

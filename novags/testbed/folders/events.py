@@ -17,7 +17,7 @@ LOSS = {"iteration": float, "photometric": MEASURED}
 
 
 class EventLog:
-    """Appends events to a file; a killed process loses none but the one it was writing.
+    """Appends events to a file; a killed process loses at most the event that it was writing.
 
     A run that goes on from a checkpoint repeats the steps after it: its first step replaces the lines from there on, so
     that the file in the end equals the file of an undisturbed run.

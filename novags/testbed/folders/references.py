@@ -1,8 +1,8 @@
-"""What the pictures of a method are compared with; references are never mixed.
+"""References for the pictures of a method; they are never mixed.
 
 `enhanced`: the noise-free dark exposure, enhanced exactly as its noisy twin, for methods whose output is enhanced: it
 isolates noise. `linear`: the noise-free exposure in linear light, for methods whose output is linear. Of a camera with
-a colour filter array both are of what all three channels of each pixel would have given; `enhanced_demosaiced` and
+a colour filter array both have the signal of all three channels of each pixel; `enhanced_demosaiced` and
 `linear_demosaiced` are of the noise-free mosaic, interpolated as the pictures are, with the errors of that. `lit`: the
 well-lit render or photograph, for all methods. Of imported photographs clean long exposures take the place of the
 noise-free ones, and references that were not given are missing.
@@ -50,7 +50,7 @@ def enhanced_dark(capture: Capture, i: int, enhancement: dict[str, Any]) -> Imag
 
 
 class Made(Protocol):
-    """What came of a method: a run, or the reconstruction that becomes one."""
+    """The outcome of a method: a run, or the reconstruction that becomes one."""
 
     @property
     def space(self) -> str:

@@ -1,4 +1,4 @@
-"""A run on disk: what one method produced from one capture.
+"""A run on disk: the results of one method from one capture.
 
 run.json              method, resolved configuration, capture, cameras, seconds; written last
 point_cloud.ply       the scene (of a method that fits Gaussians: the standard 3DGS layout)
@@ -81,7 +81,7 @@ class Run:
 
     @property
     def space(self) -> str:
-        """What its colours are, as `Reconstruction.space`."""
+        """The meaning of its colours, as `Reconstruction.space`."""
         return str(self.record["space"])
 
     @property
@@ -202,7 +202,7 @@ def _channels(path: Path, *names: str) -> list[np.ndarray]:
     """Channels of a picture that a method rendered.
 
     Raises:
-        ValueError: If it lacks one, or one holds what no method renders.
+        ValueError: If it lacks one, or one holds values that no method renders.
     """
     channels, _ = read_exr(path)
     for name in names:

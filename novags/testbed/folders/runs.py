@@ -13,7 +13,7 @@ EXPERIMENT = "experiment.json"  # in the folder of a study of one place, once it
 STUDY = "study.json"  # in the folder of a study of many places
 TABLE = "results.json"  # in both
 ROWS: Any = {"axes": dict, "rows": [{"state": str, "folder": str}]}  # of the table
-REPORT, REPORT_FILES = "report.html", "report.files"  # and what the pages of many pictures have beside them
+REPORT, REPORT_FILES = "report.html", "report.files"  # and the folders beside pages of many pictures
 
 
 def runs_in(folders: Sequence[Path]) -> dict[str, Run]:

@@ -1,4 +1,4 @@
-"""What a capture photographs: a multiview set, rendered or real, optionally scaled down.
+"""The subject of a capture: a multiview set, rendered or real, optionally scaled down.
 
 Radiance is float32 linear RGB [h,w,3]; lit images are float32 sRGB-encoded [h,w,3], 0..1.
 """
@@ -27,7 +27,7 @@ from simscenes.sets.pictures.image_file import WITH_ALPHA, has_alpha
 from simscenes.sets.readers.llff import POSES
 from simscenes.sets.readers.nerf_synthetic import PARTS
 
-# What a set is read from besides its images: our own record and truth, and the cameras in every supported form.
+# Files of a set besides its images: our own record and truth, and the cameras in every supported form.
 MODEL = tuple(f"{part}.{suffix}" for part in ("cameras", "images", "points3D") for suffix in ("bin", "txt"))
 READ_FROM = ("set.json", "capture.json", "transforms.json", *PARTS, POSES, "nb-info.json", "sparse", "sparse/0",
              "colmap_sparse", "colmap/sparse", "gt", *MODEL)  # fmt: skip
@@ -35,7 +35,7 @@ READ_FROM = ("set.json", "capture.json", "transforms.json", *PARTS, POSES, "nb-i
 EXPOSURES = 1e30  # more would make NaN of a black pixel in float32
 NOISE = 0.01  # of a photograph's bright light: values further below 0 are not noise
 
-# What photographs need and no rendered set, beside `READERS`.
+# Modules that photographs need and no rendered set, beside `READERS`.
 PHOTOGRAPHS: Registry[Callable[..., Any]] = Registry({
     "linear files": "novags.testbed.folders.photographs.linear:load_linear_set",
     "noise": "novags.methods.noise_estimate:noise_from",
@@ -59,12 +59,12 @@ class Source:
     rig: Rig  # of the scaled images
     console: Console  # where notes on single views go
     lit_known: bool = True  # False: the views themselves are dark, and nothing shows them in good light
-    called: str = ""  # what messages call it; "" is the set and its folder
+    called: str = ""  # its name in messages; "" is the set and its folder
     reads: Reads = field(default_factory=dict, repr=False, compare=False)  # its JSON files, as opened
 
     @property
     def title(self) -> str:
-        """What messages call it."""
+        """Its name in messages."""
         return self.called or f"the set {self.views.path}"
 
     @property
@@ -79,7 +79,7 @@ class Source:
 
     @property
     def filters(self) -> np.ndarray | None:
-        """Linear sRGB -> what the set's own colour filters see, [3,3]; None for a set in linear sRGB."""
+        """Linear sRGB -> the signal behind the set's own colour filters, [3,3]; None for a set in linear sRGB."""
         matrix = self.views.meta.get("camera_matrix")
         return None if matrix is None else np.array(matrix, np.float64)
 
@@ -89,7 +89,7 @@ class Source:
         if self.filters is None:
             return None
         red, green, blue = self.filters.sum(1)
-        # A real filter passes a tenth to ten times what green does; by far beyond it float32 would overflow.
+        # A real filter passes a tenth to ten times as much as green; by far beyond it float32 would overflow.
         if not (min(red, green, blue) > 0 and all(1e-3 <= other / green <= 1e3 for other in (red, blue))):
             raise ValueError(f"the camera_matrix of {self.views.path} must have rows with sums > 0, within a factor of "
                              f"1000 of green's, got {red:g}, {green:g}, {blue:g}: put the original back")  # fmt: skip
@@ -215,7 +215,7 @@ def open_source(path: Path, console: Console, max_size: int | None = None) -> So
 
 
 def source_of(views: MultiviewSet, console: Console, max_size: int | None = None) -> Source:
-    """What `open_source` gives of the views of a folder that was opened already; arguments and errors as there."""
+    """The result of `open_source` for the views of a folder that was opened already; arguments and errors as there."""
     path = views.path
     if views.renamed and views.kind == "photographs" and not (path / "capture.json").is_file():
         name, file = next(iter(views.renamed.items()))

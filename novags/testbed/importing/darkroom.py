@@ -17,12 +17,12 @@ from simscenes.sets.multiview import MultiviewSet
 
 @dataclass(frozen=True, kw_only=True)
 class Darkroom:
-    """What the dark pictures and their lit or clean twins go through alike.
+    """The steps that the dark pictures and their lit or clean twins go through alike.
 
     Attributes:
         views: The dark set: its cameras and lenses.
-        rig: The cameras of the capture, of smaller pictures where those are scaled down.
-        codes: What 16-bit codes mean.
+        rig: The cameras of the capture, scaled with the pictures.
+        codes: The meaning of 16-bit codes.
         camera: Of raw files; None without any.
     """
 
@@ -43,7 +43,7 @@ class Darkroom:
         return (self.rig.width, self.rig.height) != (self.views.rig.width, self.views.rig.height)
 
     def check(self, file: Path, *, lit: bool = False) -> tuple[Depth, bool]:
-        """What the file holds, and whether it has to be brought to the size of its view (well-lit pictures alone).
+        """The content of the file, and whether it has to be brought to the size of its view (well-lit pictures alone).
 
         Raises:
             ValueError: If it cannot be read, has another size than its camera or transparent pixels, or, being raw and

@@ -27,7 +27,7 @@ _LIBC = ctypes.CDLL(None) if sys.platform == "linux" else None  # loaded before 
 
 @dataclass(frozen=True)
 class Spent:
-    """What a program took.
+    """Time and memory of a program.
 
     Attributes:
         seconds: Wall time.
@@ -40,7 +40,7 @@ class Spent:
 
 @cache
 def output_of(words: tuple[str, ...], folder: Path) -> str:
-    """What a program prints that ends at once, asked once.
+    """The output of a program that ends at once, asked once.
 
     Raises:
         ValueError: If it cannot be started, fails, takes longer than `SHORT` s, or prints nothing or more than `KEPT`
@@ -108,7 +108,7 @@ def _end_with_parent() -> None:
 
 
 def _end(process: "subprocess.Popen[bytes]") -> None:
-    """End a program and all that it has started; without effect on one that has ended, but for processes it left
+    """End a program and all processes it has started; without effect on one that has ended, but for processes it left
     behind.
     """
     for number in (signal.SIGTERM, signal.SIGKILL):
@@ -129,7 +129,7 @@ def _how(code: int) -> str:
 
 
 class _Output:
-    """Passes on what a program prints, and keeps the end of it."""
+    """Passes on the output of a program, and keeps the end of it."""
 
     def __init__(self, stream: IO[bytes]) -> None:
         self.kept = b""

@@ -56,7 +56,7 @@ def pictures_in(folder: Path) -> dict[str, Path]:
 
 
 def plain_pictures(folder: Path) -> list[Path]:
-    """The pictures in images/ of a folder, else directly in it, in the order of their names, whatever cameras list.
+    """The pictures in images/ of a folder, else directly in it, in the order of their names; cameras have no say.
 
     Hidden files are left out: an archive made on a Mac has one, ._NAME, for every picture.
 

@@ -1,4 +1,4 @@
-"""The code of a result: what its stage and its rows reach, with the data files beside it.
+"""The code of a result: definitions that its stage and its rows reach, with the data files beside it.
 
 The unit is a definition at the top of a module: a function, a class, a constant (`reach.py` says how they are found).
 The rows of a `Registry` are not followed: a result depends on the rows that it uses, not on all that could have been.
@@ -17,10 +17,10 @@ from sensor_model.files.python import ROOT
 
 @dataclass(frozen=True)
 class Code:
-    """What makes a result.
+    """The code that makes a result.
 
     Attributes:
-        files: Hash of what counts in every file (of data: of the content), by its path from the root.
+        files: Hash of the counting definitions in every file (of data: of the content), by its path from the root.
         texts: Hash of the whole content of the same files.
         roots: The modules that reach them.
     """
@@ -35,7 +35,7 @@ class Code:
         return hashed("\n".join(f"{name} {found}" for name, found in sorted(self.files.items())).encode())
 
     def along_with(self, modules: Iterable[str]) -> "Code":
-        """This code, and what these modules reach."""
+        """This code, and the definitions that these modules reach."""
         return code_of(*self.roots, *modules)
 
 
@@ -65,7 +65,7 @@ def _code_of(roots: frozenset[str]) -> Code:
 
 
 def _tokens(module: str, counted: Counted) -> str:
-    """Hash of what counts in a module."""
+    """Hash of the counting definitions in a module."""
     source = source_of(module)
     definitions = [source.definitions[number].tokens for number in sorted(counted.definitions)]
     imports = [f"{name} {':'.join(source.imports[name])}" for name in sorted(counted.imports)]
@@ -94,7 +94,7 @@ def modules_of(config: Any) -> set[str]:
 @cache
 def _beside(path: Path) -> tuple[Path, ...]:
     """The data in the folder of a file of code."""
-    if not path.is_relative_to(ROOT):  # what lies beside a file of somebody else is not ours to judge
+    if not path.is_relative_to(ROOT):  # files beside somebody else's file are not ours to judge
         return ()
     others = (file for file in path.parent.iterdir() if file.suffix not in (".py", ".pyi") and file.is_file())
     return tuple(file for file in others if not file.name.startswith("."))

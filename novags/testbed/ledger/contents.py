@@ -1,4 +1,4 @@
-"""What things hold: values as canonical JSON, and hashes of values, files and folders."""
+"""Content: values as canonical JSON, and hashes of values, files and folders."""
 
 import hashlib
 import json
@@ -65,7 +65,7 @@ def read_json(path: Path, shape: Any = dict) -> dict[str, Any]:
 
 
 def digest(value: Any) -> str:
-    """Hash of a value's canonical JSON: equal configurations hash equally whatever their key order."""
+    """Hash of a value's canonical JSON: equal configurations hash equally in any order of keys."""
     text = json.dumps(jsonable(value), sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
@@ -107,7 +107,7 @@ def stage_key(stage: Mapping[str, Any]) -> str:
 
 
 def checksum(path: Path) -> str:
-    """What records hold of a file: a hash of its content, without costs and versions where it is a record."""
+    """The entry of a file in records: a hash of its content, without costs and versions where it is a record."""
     return hashed(remembered(path, read_digest, HOW))
 
 
@@ -163,7 +163,7 @@ def _holds(path: Path, known: str, known_by: Callable[[Path], str]) -> bool:
 
 
 def read_digest(path: Path) -> bytes:
-    """The whole digest of a file, from the disk whatever was seen before."""
+    """The whole digest of a file, from the disk, without any cache."""
     if path.suffix == ".json":
         with suppress(ValueError):  # not JSON: its bytes count
             found = read_whole(path)

@@ -11,7 +11,7 @@ NOT_DONE = "(dry run: nothing is done)"
 
 
 class Planned(Exception):
-    """In a dry run: raised in place of the work, once it was said what would be done.
+    """In a dry run: raised in place of the work, once the steps were named.
 
     Args:
         kept: Whether nothing would be.
@@ -45,7 +45,7 @@ def planned(console: Console, name: str, files: Iterable[Path]) -> None:
 
     Args:
         console: Where it is said.
-        name: What makes the files.
+        name: The maker of the files.
         files: The files. Measurements, for example, are told by their own command, which counts them.
 
     Raises:

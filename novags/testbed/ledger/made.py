@@ -24,7 +24,7 @@ class Made:
     texts: dict[str, str] = field(default_factory=dict)
 
     def changed_in(self, code: Code) -> str:
-        """What of it is different now, in words; "" if nothing is."""
+        """Its changed parts, in words; "" if there are none."""
         if not self.files:
             return "its code is not known"
         names = {*self.files, *code.files}

@@ -41,7 +41,7 @@ class Entry:
 
 
 def entries(store: Path) -> Iterator[Entry]:
-    """What a store holds; damaged seals count as unfinished work.
+    """The entries of a store; damaged seals count as unfinished work.
 
     Raises:
         ValueError: If the folder is no store.

@@ -88,7 +88,7 @@ class Sources:
             self._texts = read_record(own_folder(cache_folder("sources")) / self._name, {"*": str})
 
     def of(self, content: bytes) -> Source:
-        """What a content says.
+        """The analysis of a content.
 
         Raises:
             SyntaxError: If it is no Python.
@@ -184,7 +184,7 @@ def _bound(statement: ast.stmt) -> tuple[set[str], bool]:
     An assignment to names counts where these names are read: by our convention, the functions it calls do nothing but
     return a value. An assignment to a part of something, a loop, a call or a condition counts always.
     """
-    # A function that assigns to a name of the module decides what others read there.
+    # A function that assigns to a name of the module decides on the value that others read there.
     names = {name for node in ast.walk(statement) if isinstance(node, ast.Global) for name in node.names}
     if isinstance(statement, ast.FunctionDef | ast.ClassDef):
         return {*names, statement.name}, not all(_wraps(decorator) for decorator in statement.decorator_list)
@@ -213,7 +213,7 @@ def _imported(statement: ast.Import | ast.ImportFrom) -> list[tuple[str, str]]:
 
 
 def _bound_by(statement: ast.Import | ast.ImportFrom) -> dict[str, tuple[str, str]]:
-    """What each name means that an import binds."""
+    """The object behind each name that an import binds."""
     found = {}
     for alias, (module, name) in zip(statement.names, _imported(statement), strict=True):
         if name or alias.asname:
@@ -230,7 +230,7 @@ def _is_reference(text: str) -> bool:
 
 
 def _run(node: ast.AST) -> Iterator[ast.AST]:
-    """What may reach something, of all that runs: imports, references as text, names with all their attributes."""
+    """Code that may reach something, of all that runs: imports, references as text, names with all their attributes."""
     if isinstance(node, ast.Import | ast.ImportFrom):
         yield node
     elif isinstance(node, ast.Constant):

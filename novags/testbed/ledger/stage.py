@@ -70,10 +70,10 @@ def run_stage(
     """Do a stage's work unless its folder already holds the result of the same code, inputs and configuration.
 
     Args:
-        name: What the stage is called in messages and records.
+        name: The stage's name in messages and records.
         folder: Where it writes.
         record_name: The record, written last.
-        code: What does the work.
+        code: The code that does the work.
         inputs: Gives the content hash of each input, by name; asked before the work and after it.
         opened: Its result for the inputs at the time of reading, where that is known; it is not asked before the work
             then.
@@ -84,11 +84,11 @@ def run_stage(
             body.
         console: Where progress goes.
         stale: Files elsewhere that describe an earlier result in `folder`; removed together with it.
-        scrap: What in `folder` only unfinished work needs; removed once the record is written, not before.
+        scrap: Files in `folder` that only unfinished work needs; removed once the record is written, not before.
         overwrite: Replace a finished result of other inputs or another configuration.
 
     Returns:
-        The record, as it stands in the folder.
+        The record in the folder.
 
     Raises:
         ValueError: If `folder` holds files that no stage of this kind has written, or a finished result of another
@@ -133,7 +133,7 @@ def refuse_other(
         inputs: Content hash of each of its inputs; None: not known yet, configurations alone count.
 
     Raises:
-        ValueError: If `folder` holds a finished result of another one, which says what differs, or damaged files.
+        ValueError: If `folder` holds a finished result of another one, which names the differences, or damaged files.
     """
     stage = _finished(folder, record_name)
     if stage is None:
@@ -193,7 +193,7 @@ class _Stage:
         self, asked: dict[str, Any], ask: Callable[[], Mapping[str, str]], prepare: Callable[[], Prepared],
         work: Callable[[Prepared], Mapping[str, Any]], earlier: tuple[float, int] | None, stale: Sequence[Path],
     ) -> dict[str, Any]:  # fmt: skip
-        """Do the work and write the record; `asked`: its entry "stage", but for what the work finds and costs."""
+        """Do the work and write the record; `asked`: its entry "stage", except the findings and costs of the work."""
         start, memory, record_path = time.perf_counter(), PeakMemory(), self.folder / self.record_name
         prepared = prepare()
         if earlier is None:
@@ -291,7 +291,7 @@ class _Stage:
         return None
 
     def _clear(self, key: str, targets: Sequence[Path]) -> None:
-        """Remove files and folders, in this order; what an interruption leaves behind belongs to no work."""
+        """Remove files and folders, in this order; leftovers of an interruption belong to no work."""
         self._mark(None)
         for target in targets:
             remove(target)

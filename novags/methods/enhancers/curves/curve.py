@@ -1,4 +1,5 @@
-"""What tone curves share: every pixel by itself, one curve a picture. Pictures are sRGB code in 0..1, [H, W, 3].
+"""The common part of tone curves: every pixel by itself, one curve a picture. Pictures are sRGB code in 0..1, [H, W,
+3].
 
 None of them can tell noise from signal. Each chooses its curve from one picture, so neighbouring views get different
 curves; the parameters of a noisy picture bring its noise-free twin through the same curve.

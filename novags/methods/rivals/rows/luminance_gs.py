@@ -21,7 +21,7 @@ class LuminanceGsConfig:
             of 1.
         lit_weight: Of the lit render against the brightened picture.
         contrast_weight: Of the contrasts.
-        histogram_weight: Of what the curve is drawn to.
+        histogram_weight: Of the terms that shape the curve.
         curve_rate: Learning rate of the curve that all views share.
         attention_rate: Of the attention layers.
         axes_rate: Of the axes of colour.

@@ -49,13 +49,13 @@ def read_mosaic(path: Path) -> Mosaic:
 
 @dataclass(frozen=True)
 class RawFormat:
-    """What a raw file says about its codes and colours."""
+    """Facts about codes and colours in a raw file."""
 
     shape: tuple[int, ...]  # [h,w] of a mosaic, [h,w,3] of three chips
     cfa: Cfa | None  # None: every pixel has all three channels
     black: tuple[float, ...]  # DN, of each place in the 2 x 2 cell, row by row; of three chips, of each channel
     white: float  # DN
-    response: tuple[float, float, float]  # of the camera's channels to what the camera took for white, green = 1
+    response: tuple[float, float, float]  # of the camera's channels to the camera's white, green = 1
     color_matrix: np.ndarray | None  # [3,3], white-balanced camera RGB -> linear sRGB; None: they are the same
     time: float | None  # s
 
@@ -132,9 +132,9 @@ def _color_matrix(raw: Any, path: Path) -> np.ndarray | None:
 
 
 def _of_model(xyz_to_camera: np.ndarray) -> np.ndarray:
-    """White-balanced camera RGB -> linear sRGB, [3,3], of what LibRaw states of a model; zeros if it states nothing."""
+    """White-balanced camera RGB -> linear sRGB, [3,3], of a model by LibRaw; zeros if it states nothing."""
     filters = xyz_to_camera @ np.linalg.inv(XYZ_TO_SRGB)
-    white = filters.sum(1, keepdims=True)  # what the balance makes 1
+    white = filters.sum(1, keepdims=True)  # the level that the balance makes 1
     if not (white > 0).all() or np.linalg.matrix_rank(filters) < 3:
         return np.zeros((3, 3))
     return np.linalg.inv(filters / white)
@@ -186,7 +186,7 @@ def read_radiance(path: Path) -> np.ndarray:
 
 
 def size(path: Path) -> tuple[int, int]:
-    """Width and height of what `read_radiance` returns, from the header alone.
+    """Width and height of the result of `read_radiance`, from the header alone.
 
     Raises:
         ValueError: If the file cannot be read.
@@ -196,7 +196,7 @@ def size(path: Path) -> tuple[int, int]:
 
 
 def _check_whole(raw: Any, path: Path) -> None:
-    """Refuse what LibRaw makes of a file whose end is missing or full of zeros: it says nothing in many formats.
+    """Refuse the pixels of a file whose end is missing or full of zeros: LibRaw says nothing in many formats.
 
     Every code has noise, so that a row repeats its first two (of a mosaic, one for each filter) only where all of it is
     clipped, or as black as noise below a code leaves it. The last rows are missing: others may be the blank sky of a

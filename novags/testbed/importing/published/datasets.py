@@ -15,7 +15,7 @@ from sensor_model.files.reading import some
 from simscenes.sets.multiview import MultiviewSet
 
 DEPTH = 4  # folders below the searched one
-NEAR = 3  # folders above a scene whose names count: farther up a name says where somebody works, not on what
+NEAR = 3  # folders above a scene whose names count: farther up a name says where somebody works, not on which data
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,8 +26,8 @@ class Dataset:
         name: As its authors write it.
         home: Where it is available.
         layout: A scene in a few words.
-        named: Whether a folder above a scene bears the name; else what the scene holds is enough.
-        fits: Whether a folder holds what a scene does.
+        named: Whether a folder above a scene bears the name; else the content of the scene is enough.
+        fits: Whether a folder holds the files of a scene.
         open_scene: The dark pictures of a scene with their cameras.
         lit: The folder of a scene's well-lit pictures; None if it has none.
         by_order: Lit and dark pictures pair by the order of their names, not by their names.
@@ -117,7 +117,7 @@ def _owner(folder: Path) -> str | None:
 
 
 def expected(names: Iterable[str]) -> str:
-    """Where these data sets are available, and what a scene of each holds; for messages."""
+    """Where these data sets are available, and the content of a scene of each; for messages."""
     return "; ".join(f"{name}: {DATASETS[name].layout} ({DATASETS[name].home})" for name in names)
 
 

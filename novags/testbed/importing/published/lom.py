@@ -41,7 +41,7 @@ class LomScene(MultiviewSet):
 
 @dataclass
 class _View:
-    """What the JSON files list of one picture."""
+    """The entry of one picture in the JSON files."""
 
     frame: Frame
     pose: NDArray[np.float64]  # camera-to-world [4,4], OpenGL axes
