@@ -37,9 +37,7 @@ DARKEST = 1 / 510  # mean of a picture, half a code of 8 bits: a black one asks 
 
 
 def contrasts(picture: Tensor) -> Tensor:
-    """Differences of each cell of 4 x 4 px from its four neighbours, black beyond the border, [H, W, 3] -> [4, h,
-    w].
-    """
+    """Differences of cells of 4 x 4 px from their neighbours, black beyond the border: [H, W, 3] -> [4, h, w]."""
     height, width = picture.shape[:2]
     cells = F.avg_pool2d(picture.mean(-1)[None, None], (min(4, height), min(4, width)))[0, 0]
     wide = F.pad(cells, (1, 1, 1, 1))

@@ -60,7 +60,7 @@ def run_command(
 def _reconstruct(capture: Capture, out: Path, config: CommandConfig, console: Console) -> dict[str, Any]:
     """Run the program and write its pictures; returns the body of run.json."""
     work = out / WORK
-    remove(work)  # what a killed attempt has left
+    remove(work)  # leftovers of a killed attempt
     try:
         shown, made = work / "capture", work / "out"
         show(capture, shown)
@@ -115,7 +115,8 @@ def _body(capture: Capture, out: Path, config: CommandConfig, spent: Spent, with
 
 
 def show(capture: Capture, folder: Path) -> None:
-    """Lay out what a method may see of a capture: copies of its files, so that a program can change none of them.
+    """Lay out the part of a capture that a method may see: copies of its files, so that a program can change none of
+    them.
 
     Through links it could, and other methods would then see its changes; they would lead it to the truth, too.
 

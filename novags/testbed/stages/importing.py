@@ -1,4 +1,4 @@
-"""Import: dark photographs from elsewhere in, a capture folder out, with what truth there is about them."""
+"""Import: dark photographs from elsewhere in, a capture folder out, with all truth there is about them."""
 
 import os
 from dataclasses import asdict, dataclass, fields
@@ -42,14 +42,14 @@ class Material:
     dataset: Dataset | None
 
     def inputs(self) -> dict[str, str]:
-        """Hashes of all that is read, and its assumed meaning."""
+        """Hashes of all files read, and their assumed meaning."""
         digests = {name: twins.digest() if twins else "" for name, twins in (("lit", self.lit), ("clean", self.clean))}
         return {"dark": self.dark.digest(), **digests, "dataset": self.dataset.name if self.dataset else ""}
 
 
 @dataclass(frozen=True)
 class Prepared:
-    """What all views share."""
+    """The data that all views share."""
 
     darkroom: Darkroom
     match: Match | None

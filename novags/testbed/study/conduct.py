@@ -51,9 +51,9 @@ def conduct(
         store: The store.
         console: Where progress goes.
         engine: Where the work is done.
-        retry_failed: Try again what failed before.
+        retry_failed: Try failed tasks again.
         known: Entries that need not be looked at.
-        url: Where the store is, if `store` holds only what this machine knows of it.
+        url: Where the store is, if `store` holds only this machine's part of it.
 
     Raises:
         OSError: If the disk is full or may not be written to.
@@ -68,7 +68,7 @@ def conduct(
     if watch.failures or (out / FAILURES).exists():
         write_json(out / FAILURES, watch.failures)
     longest = longest_after(plan, watch.seconds_left())
-    if plan.study.ends == "measurement":  # in turn, seeds last: what else loads the machine meets all settings alike
+    if plan.study.ends == "measurement":  # in turn, seeds last: other load on the machine meets all settings alike
         longest = {key: -float(place) for place, key in enumerate(plan.tasks)}
     failed = {key: Outcome("failed", f["reason"], f["stage"]) for key, f in watch.failures.items()}
     try:

@@ -1,8 +1,8 @@
 """Costs of tasks: seconds, memory, disk, predicted from the costs of finished ones in the store.
 
 Seconds grow with the work, memory and disk with the pixels of all views, each from a constant. `DEFAULTS` are rough
-guesses, for a store that is still empty. What the store holds corrects them: a prediction is multiplied by the median
-ratio of measured to predicted over the entries most like the task.
+guesses, for a store that is still empty. The entries of the store correct them: a prediction is multiplied by the
+median ratio of measured to predicted over the entries most like the task.
 """
 
 import math
@@ -19,7 +19,7 @@ NEAREST = 5  # entries that a ratio is taken from
 
 @dataclass(frozen=True)
 class Cost:
-    """What one task costs."""
+    """The cost of one task."""
 
     seconds: float
     memory: float  # bytes, at the peak
@@ -84,7 +84,7 @@ class Costs:
         self._ratios.clear()
 
     def predicted(self, task: Task) -> Cost:
-        """What a task will cost."""
+        """The predicted cost of a task."""
         expected = default(task.kind, task.work, task.pixels)
         place = (task.kind, task.group, task.work)
         if place not in self._ratios:

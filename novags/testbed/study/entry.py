@@ -31,8 +31,8 @@ class Task:
     config: Any  # of its stage: `RenderConfig`, `CaptureConfig`, `ImportConfig`, `ReconstructConfig`, …
     needs: tuple[str, ...] = ()  # keys of the tasks it is made from
     source: Path | None = None  # the set that a capture photographs, or the photographs it imports, if no task makes it
-    group: str = ""  # what its cost is compared with: the scene, the camera, the method; of KIN:… its kin, too
-    work: float = 0.0  # what its cost grows with, in `costs.UNITS`
+    group: str = ""  # the peers for its cost: the scene, the camera, the method; of KIN:… its kin, too
+    work: float = 0.0  # the amount that its cost grows with, in `costs.UNITS`
     pixels: float = 0.0  # of all its views
     modules: tuple[str, ...] = ()  # `Source.modules` of the set that is photographed
     code: str = ""  # key of the code that is to make it
@@ -44,7 +44,7 @@ class Task:
 
     @property
     def title(self) -> str:
-        """What people call it."""
+        """Its name for people."""
         return self.place or self.name.rpartition("-")[0]
 
     def folder(self, store: Path) -> Path:
@@ -54,7 +54,7 @@ class Task:
 
 @dataclass(frozen=True)
 class Order:
-    """What a worker needs to know of a task."""
+    """The data of a task that a worker needs."""
 
     task: Task
     folder: Path  # of its entry
@@ -80,9 +80,9 @@ def ensure(order: Order, steps: Steps, console: Console, depends: dict[str, Any]
 
     Args:
         order: The entry.
-        steps: What makes it.
+        steps: The steps that make it.
         console: Where notes go.
-        depends: What else the content depends on; not in the key, because little of the work depends on it.
+        depends: Further things that the content depends on; not in the key, because little of the work depends on it.
 
     Returns:
         `content`, `cost` and `made` (False: it was there) of the entry.

@@ -1,4 +1,5 @@
-"""What a study says about light: each score against the electrons, its spread over seeds, and where a method breaks.
+"""The results of a study over light: each score against the electrons, its spread over seeds, and where a method
+breaks.
 
 The knee of a curve is the light at which it has fallen by a stated amount from its own value at the most light of the
 study: searched from the most light downwards, between two levels linearly in the logarithm of the electrons, for every

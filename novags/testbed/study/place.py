@@ -32,7 +32,7 @@ from sensor_model.files.door import resolved
 from sensor_model.files.lock import dry, locked
 
 DESCRIBED = (EXPERIMENT, REPORT, REPORT_FILES)  # files that describe all runs in the folder
-TAKEN = ("set", "capture", *DESCRIBED, CSV, TABLE, FAILURES, "logs", UNFINISHED)  # what lies beside the runs
+TAKEN = ("set", "capture", *DESCRIBED, CSV, TABLE, FAILURES, "logs", UNFINISHED)  # the folders beside the runs
 
 
 def run(
@@ -42,7 +42,7 @@ def run(
     """Run the rest of the experiment in `out`; returns the path of the report, or `out` without one.
 
     Args:
-        preset: What to do.
+        preset: The experiment.
         out: The folder.
         console: Where progress goes.
         report: Writes a report on the folder.
@@ -106,7 +106,7 @@ def _planned(preset: Preset, out: Path, console: Console, overwrite: bool) -> Pl
 
 
 def _source(task: Task, out: Path) -> Path | None:
-    """What a task reads: it is made from one thing at most, and plain names say which."""
+    """The input of a task: it has one at most, and plain names say which."""
     return out / ("capture" if task.kind == "run" else "set") if task.needs else task.source
 
 
@@ -140,7 +140,7 @@ def _refuse_set_elsewhere(out: Path) -> None:
 
 
 def said(preset: Preset, out: Path, console: Console, *, overwrite: bool = False) -> None:
-    """Say what `run` would do, and write nothing: which stages it would make, or make again and why.
+    """Name the steps of `run`, and write nothing: which stages it would make, or make again and why.
 
     Raises:
         ValueError: As `run`.
@@ -184,7 +184,7 @@ def score_all(folder: Path, runs: Sequence[Run], console: Console) -> None:
         console: Where progress goes.
 
     Raises:
-        ValueError: If what a run refers to is gone.
+        ValueError: If the folders a run refers to are gone.
         BlockingIOError: If another process is writing there.
     """
     with locked(folder, make=False):

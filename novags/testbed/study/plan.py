@@ -62,7 +62,7 @@ class Plan:
         return replace(self, runs=runs, tasks={task.key: task for _, key in runs for task in self.above(key)})
 
     def above(self, key: str) -> Iterator[Task]:
-        """A task and all that it is made from, the first made first."""
+        """A task and all its inputs, the first made first."""
         for need in self.tasks[key].needs:
             yield from self.above(need)
         yield self.tasks[key]
@@ -126,7 +126,7 @@ def check(preset: Preset, console: Console, here: bool = True) -> None:
 
 @dataclass
 class Planner:
-    """Plans entries of a store, each with all that it is made from.
+    """Plans entries of a store, each with all its inputs.
 
     Attributes:
         store: The store.
@@ -143,7 +143,7 @@ class Planner:
     keys: dict[tuple[str, str], str] = field(default_factory=dict)
 
     def run(self, preset: Preset) -> str:
-        """The key of a run, which is planned with all that it needs."""
+        """The key of a run, which is planned with all its inputs."""
         captured = self.capture(preset, for_runs=True)
         (name,) = preset.methods
         if (command := preset.command(name)) is not None:
@@ -207,7 +207,7 @@ class Planner:
         ))  # fmt: skip
 
     def _imported(self, folder: Path, config: ImportConfig) -> str:
-        """The key of a capture of photographs that are dark already; it holds all that it is made of."""
+        """The key of a capture of photographs that are dark already; it holds all its inputs."""
         folder = Path(os.path.abspath(folder))  # not where a link leads: names tell the scene and the data set
         place = (folder, digest(config.resolved()), config.lit, config.clean, config.dataset)
         if place not in self.contents:
@@ -226,7 +226,7 @@ class Planner:
         ))  # fmt: skip
 
     def _folder(self, path: Path, max_size: int | None) -> tuple[dict[str, Any], int, float, tuple[str, ...]]:
-        """What identifies a set that is there, its number of views and of pixels, and `Source.modules`.
+        """The identity of a set that is there, its number of views and of pixels, and `Source.modules`.
 
         Captures refer to it by its place, so that it is one of their inputs.
         """

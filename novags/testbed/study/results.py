@@ -37,10 +37,10 @@ class Table:
     """The rows of a study.
 
     Attributes:
-        plan: What runs there are.
+        plan: The runs of the study.
         out: Folder of the study.
         store: The store.
-        url: Where the store is, if `store` holds only what this machine knows of it.
+        url: Where the store is, if `store` holds only this machine's part of it.
         kept: Rows of finished runs that an earlier start wrote, by key; they stand until the run is looked at again.
     """
 

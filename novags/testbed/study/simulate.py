@@ -56,7 +56,7 @@ def simulated(
 
     Args:
         plan: The study.
-        predicted: What each task costs.
+        predicted: The cost of each task.
         seconds: That are left of each.
         engine: Where the work would be done.
         nodes: The numbers.

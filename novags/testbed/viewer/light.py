@@ -42,7 +42,7 @@ class Camera:
         return Camera(capture.sensor, capture.exposure, record.demosaic, matrix, seed)
 
     def for_srgb(self) -> "Camera":
-        """The same camera before light that is in linear sRGB already, whatever colours the set was rendered in."""
+        """The same camera before light that is in linear sRGB already, for any colours that the set was rendered in."""
         return replace(self, color_matrix=None)
 
     def brightening(self, electrons: float) -> float:

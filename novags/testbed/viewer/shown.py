@@ -1,4 +1,6 @@
-"""What the viewer shows of one capture: its runs, its pictures, and the light that a view is exposed to again."""
+"""The part of one capture that the viewer shows: its runs, its pictures, and the light that a view is exposed to
+again.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -90,7 +92,8 @@ class Shown:
         return GREY / green if green > 0 else 1.0
 
     def scene(self, name: str) -> tuple[Scene, Similarity, Drawn | None] | None:
-        """A run's scene, the way from its frame to the viewer's, and what the browser draws, if Gaussians; else None.
+        """A run's scene, the way from its frame to the viewer's, and the data that the browser draws, if Gaussians;
+        else None.
 
         Raises:
             ValueError: If a file is damaged.
@@ -138,7 +141,7 @@ class Shown:
         return np.asarray(cv2.resize(light, self.size, interpolation=cv2.INTER_AREA))
 
     def true_green(self) -> float:
-        """Mean green of `true_light` over all views: what `--electrons` refers to.
+        """Mean green of `true_light` over all views: the reference of `--electrons`.
 
         Raises:
             ValueError: If the set is black.
@@ -153,7 +156,7 @@ class Shown:
 
 
 def shown_of(folders: Sequence[Path], console: Console, sensor: str | None = None) -> list[Shown]:
-    """What the viewer shows of several folders of runs: one entry for each capture.
+    """The captures behind several folders of runs: one entry for each capture.
 
     Args:
         folders: Of runs, of experiments, or such that hold some.

@@ -45,7 +45,7 @@ class World:
         """
         true = true_cameras(capture).numpy()
         extent = extent_of(true)
-        # What the cameras look at lies about one extent before their middle; of a ring it is below the middle or in it.
+        # The cameras' target lies about one extent before their middle; of a ring it is below the middle or in it.
         middle = centers_of(true).mean(0) + extent * true[:, 2, :3].mean(0)
         scale = SIZE / extent
         turn = torch.eye(3, dtype=torch.float64)

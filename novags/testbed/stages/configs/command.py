@@ -1,4 +1,4 @@
-"""A method that is a program: which one, and what makes it another one."""
+"""A method that is a program: which one, and the changes that make it another one."""
 
 import re
 import shlex
@@ -40,7 +40,7 @@ class CommandConfig:
             views, {seed} for the seed of the run.
         folder: Where it runs; relative paths in it start here.
         timeout: Seconds after which it is ended and has failed; None: never.
-        space: What its pictures are: "lit" (as in good light, sRGB-encoded) or "linear" (the light of the scene).
+        space: The kind of its pictures: "lit" (as in good light, sRGB-encoded) or "linear" (the light of the scene).
         files: Files and folders that the command does not name, relative to `folder`, that make it another program when
             they change.
         version: A command whose output tells one version of the program from another ("theirs --version"); "" for none.
@@ -104,17 +104,19 @@ class CommandConfig:
 
     @property
     def code(self) -> Code:
-        """What runs the program and keeps its pictures."""
+        """The code that runs the program and keeps its pictures."""
         return code_of("novags.testbed.stages.command", *for_photographs())
 
     def resolved(self) -> dict[str, Any]:
-        """What determines the pictures: the command and the content of the files that it names, not where they lie."""
+        """The facts that determine the pictures: the command and the content of the files that it names, not where they
+        lie.
+        """
         told = {"version": self._told()} if self.version else {}
         return {"method": self.name, "command": self.command, "space": self.space, "seed": self.seed,
                 "program": self._digest(), **told}  # fmt: skip
 
     def _told(self) -> str:
-        """What the program says of its version.
+        """The version that the program states.
 
         Raises:
             ValueError: If it says nothing, or fails.
@@ -151,7 +153,7 @@ def read_commands(tables: Any, folder: Path) -> tuple[CommandConfig, ...]:
     """The tables [method.NAME] of a study file.
 
     Args:
-        tables: What stands under `method`.
+        tables: The tables under `method`.
         folder: The file's folder, where commands run.
 
     Raises:

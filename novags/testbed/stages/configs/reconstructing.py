@@ -41,14 +41,14 @@ class ReconstructConfig:
 
     @property
     def code(self) -> Code:
-        """What reconstructs it: the stage, the method, the source of cameras and their configurations."""
+        """The code that reconstructs it: the stage, the method, the source of cameras and their configurations."""
         used = {*modules_of(self.config), *modules_of(self.cameras), SEEN.module_of(self.cameras.looks_at)}
         if hasattr(self.config, "enhance"):
             used.add(ENHANCERS.module_of(enhancer_of(self.config.enhance)[0]))
         return code_of("novags.testbed.stages.reconstructing", METHODS.module_of(self.variant.method), *used)
 
     def resolved(self) -> dict[str, Any]:
-        """What determines the result."""
+        """The settings that determine the result."""
         return {
             "method": self.variant.method, "points": self.points, "seed": self.seed,
             "cameras": spell_cameras(self.cameras), "config": asdict(self.config),

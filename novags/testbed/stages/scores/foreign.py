@@ -76,7 +76,7 @@ class Truth:
         return rig.width, rig.height
 
     def reader(self, reference: Reference) -> Callable[[int], Image]:
-        """What reads the reference of a view, float32 [h,w,3].
+        """A reader of the reference of a view, float32 [h,w,3].
 
         Raises:
             ValueError: If there is no such reference here.

@@ -251,7 +251,7 @@ def recovered_shares(
 def recovered_fractions(
     scores: Mapping[str, Any], methods: Mapping[str, str], kind: str = "enhanced", number: str = "aligned_psnr"
 ) -> tuple[dict[str, float], str | None]:
-    """The share of what noise costs that each run wins back, and the reason where it is unknown.
+    """The share of the cost of noise that each run wins back, and the reason where it is unknown.
 
     Args:
         scores: The scores of each run, by its name, which may follow a folder and a slash.

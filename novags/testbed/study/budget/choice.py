@@ -1,6 +1,6 @@
 """Which settings lose least in a given time.
 
-The time of an experiment is a sum over parts (the fit, the denoiser's training, the render, and what no setting
+The time of an experiment is a sum over parts (the fit, the denoiser's training, the render, and work that no setting
 changes). A setting multiplies some parts by measured factors and loses measured decibels; factors of several options
 multiply, losses add. That they do is an assumption: curves turn one knob at a time.
 """
@@ -40,7 +40,7 @@ class Choice:
 
     Attributes:
         options: One for each name.
-        seconds: What the experiment takes.
+        seconds: The time of the experiment.
         lost: Expected loss, dB.
         sd: Its standard deviation: losses of single options are taken to be independent.
     """
@@ -52,7 +52,7 @@ class Choice:
 
 
 def seconds_of(parts: Mapping[str, float], options: Sequence[Option]) -> float:
-    """What an experiment takes whose parts take so long with the preset's own settings."""
+    """The time of an experiment whose parts take so long with the preset's own settings."""
     return sum(s * math.prod(option.factors.get(part, 1.0) for option in options) for part, s in parts.items())
 
 

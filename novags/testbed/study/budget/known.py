@@ -39,7 +39,7 @@ def known(folder: Path | None, methods: Collection[str] = ()) -> Known:
 
     Args:
         folder: The folder that is named, if any.
-        methods: The methods of the experiment; see `options_of`. What `USUAL` lacks of them comes from novags.
+        methods: The methods of the experiment; see `options_of`. Curves that `USUAL` lacks come from novags.
 
     Raises:
         ValueError: If the folder that is named holds no curves of options.
@@ -83,7 +83,7 @@ def _used(curves: Collection[str], methods: Collection[str]) -> list[str]:
 
 
 def subject(point: Mapping[str, Any]) -> str:
-    """What a point is of."""
+    """The subject of a point."""
     return str(point["knob"]).partition(".")[0]
 
 
@@ -131,7 +131,7 @@ def open_options(
 
     Args:
         preset: The experiment.
-        options: What curves know.
+        options: The options of the curves.
         decided: Options that the user has set.
     """
     own = values(preset)

@@ -1,4 +1,4 @@
-"""What a budget says: before the work, when the rest is chosen again, and afterwards."""
+"""The words of a budget: before the work, when the rest is chosen again, and afterwards."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -44,13 +44,13 @@ def before(preset: Preset, chosen: Preset, state: State, untried: Sequence[str] 
 def untried(
     preset: Preset, budget: float, limit: float, options: Mapping[str, Sequence[Option]], source: str
 ) -> list[str]:
-    """What a choice will be made of that was not tried yet.
+    """The basis of a choice whose trial has not run yet.
 
     Args:
         preset: The experiment.
         budget: Seconds.
         limit: Seconds that the trial may take.
-        options: What there is to choose.
+        options: The options to choose from.
         source: Where the curves come from.
     """
     own = values(preset)

@@ -1,4 +1,5 @@
-"""The experiment on a small scale, with a stopwatch: what each of its parts will take here at the preset's settings.
+"""The experiment on a small scale, with a stopwatch: the time that each of its parts will take here at the preset's
+settings.
 
 Pictures have their real size and fits their real number of Gaussians; views, samples and steps are few. Work done once
 per view, sample or step is scaled up; the rest counts once. A trial ends when its time is over: a part that it did not
@@ -69,7 +70,7 @@ class Forecast:
     Attributes:
         before: Of its parts until the pictures are taken.
         after: Of its parts from there on.
-        spent: What the trial took.
+        spent: The time of the trial.
         untried: Methods that it did not come to the end of.
     """
 
@@ -99,7 +100,7 @@ def forecast(preset: Preset, limit: float, run: Run, tables: Sequence[Mapping[st
     Args:
         preset: The experiment.
         limit: Seconds after which the trial ends.
-        run: What runs it.
+        run: The function that runs it.
         tables: Points of the curves of whole reconstructions.
 
     Raises:
@@ -165,7 +166,9 @@ def at_worst(preset: Preset, tables: Sequence[Mapping[str, Any]], share: float =
 def scaled(
     preset: Preset, small: Preset, folder: Path, stamps: Stamps, spent: float, tables: Mapping[str, Parts]
 ) -> Forecast:  # fmt: skip
-    """What the small experiment in `folder`, finished or not, says of the large one; `tables`: see `expected`."""
+    """The forecast of the small experiment in `folder`, finished or not, for the large one; `tables`: see
+    `expected`.
+    """
     if not (folder / "capture" / "capture.json").exists():
         raise OutOfTime
     ratio = 1.0 if preset.folder is not None else preset.render.n_views / small.render.n_views
@@ -186,7 +189,7 @@ def scaled(
         for name in untried:
             guessed = {part: CAUTION * pace * seconds for part, seconds in tables[name].items()}
             _add(after, {**guessed, **begun[name], "fixed": CAUTION * fixed}, _closed(preset, small, name))
-    after["fixed"] += max(rest, 0.0)  # the report and what lies between the stages
+    after["fixed"] += max(rest, 0.0)  # the report and the time between the stages
     return Forecast(before, after, spent, untried)
 
 

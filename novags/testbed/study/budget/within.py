@@ -170,7 +170,7 @@ def within(request: Request, out: Path, console: Console, run: Run, *, overwrite
         request: The experiment and its budget.
         out: The experiment folder.
         console: Where notes go.
-        run: What runs the trial.
+        run: The function that runs the trial.
         overwrite: Replace finished results of another request.
 
     Raises:
@@ -197,7 +197,7 @@ def within(request: Request, out: Path, console: Console, run: Run, *, overwrite
 
 
 def _refuse_hopeless(request: Request, facts: Known, options: Mapping[str, Sequence[Option]]) -> None:
-    """Refuse at once what this machine is known to be too slow for.
+    """Refuse at once a budget that this machine is known to be too slow for.
 
     Raises:
         ValueError: If it has made the curves, and training alone takes longer even where all its cores share it.
@@ -241,7 +241,7 @@ def earlier(request: Request, out: Path, console: Console, overwrite: bool) -> S
 
 
 def begun(request: Request, out: Path) -> State | None:
-    """What an earlier call with the same request has chosen."""
+    """The choice of an earlier call with the same request."""
     if not (out / RECORD).exists():
         return None
     state = read_json(out / RECORD, SHAPE)
@@ -259,10 +259,10 @@ def begun(request: Request, out: Path) -> State | None:
 
 
 def told(request: Request, out: Path, console: Console, *, overwrite: bool = False) -> tuple[Preset | None, list[str]]:
-    """What `within` would do: the settings that are chosen already, if they are, and the lines to show.
+    """A dry run of `within`: the settings that are chosen already, if they are, and the lines to show.
 
     Raises:
-        ValueError: As `within`, but for what the trial would show.
+        ValueError: As `within`, except errors that only the trial would show.
     """
     if (state := earlier(request, out, console, overwrite)) is not None:
         chosen = turned(request.preset, state["shares"])

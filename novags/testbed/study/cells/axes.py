@@ -1,4 +1,6 @@
-"""What a key of a study file changes in a preset: scene, rig, camera, method, or any setting of a stage or a method."""
+"""Changes of a preset by the keys of a study file: scene, rig, camera, method, or any setting of a stage or a
+method.
+"""
 
 import os
 from collections.abc import Mapping
@@ -24,7 +26,7 @@ RENAMED = {"views": "n_views"}  # as the command line calls them -> as `adapted`
 SPELLED = {name: key for key, name in RENAMED.items()}
 NOT_AXES = ("preset", "return", "methods", "variants", "n_views", "dark")
 STAGES = {"render": "render", "capture": "capture", "import": "imported"}  # render.max_depth -> of `Changes`, `Preset`
-# What the short keys set, where a dotted key sets the same.
+# The settings of the short keys, where a dotted key sets the same.
 SETS = {
     "scene": ("render.scene",), "n_views": ("render.n_views",), "width": ("render.width",),
     "height": ("render.height",), "spp": ("render.spp",), "parameters": ("render.parameters",),
@@ -40,7 +42,7 @@ OF_RUNS = ("method", "cameras", "points", "iterations", "denoiser_steps", "pictu
 
 @dataclass(frozen=True)
 class Changes:
-    """What some keys change, sorted by where they do.
+    """The changes by some keys, sorted by their place.
 
     Attributes:
         adapted: Keywords of `presets.adapted`.
@@ -97,7 +99,7 @@ def known_keys() -> tuple[str, ...]:
 
 
 def changes_of(key: str, value: Any, folder: Path, data: Mapping[str, Path] | None = None) -> Changes:
-    """What one key with one value changes.
+    """The changes by one key with one value.
 
     Args:
         key: Of [grid] (but "rig", which stands for several keys), [override] or [rig.NAME].
@@ -202,7 +204,7 @@ def scene_of(value: str, folder: Path) -> str:
 
 
 def scene_identity(scene: str) -> str:
-    """What all spellings of a scene have in common: its one name, or where the file or folder really is."""
+    """The identity behind all spellings of a scene: its one name, or where the file or folder really is."""
     return str(resolved(Path(scene))) if scene.endswith(".xml") or os.path.isdir(scene) else scene
 
 

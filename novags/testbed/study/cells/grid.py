@@ -48,7 +48,7 @@ class Cell:
 
     @property
     def label(self) -> str:
-        """What tells it from the others."""
+        """The values that tell it from the others."""
         return spelled(self.values)
 
 
@@ -62,7 +62,7 @@ class Study:
         cells: Every combination that is not excluded.
         excluded: How many are.
         table: The content of the file.
-        ends: What each combination is: a "run", a "capture" of a data set, or a "measurement".
+        ends: The kind of each combination: a "run", a "capture" of a data set, or a "measurement".
         absent: The published data sets that it names and that are not there.
     """
 
@@ -138,7 +138,7 @@ def _preset(name: Any) -> Preset:
 
 @contextmanager
 def at(path: Path, place: str) -> Iterator[None]:
-    """Name the file and the place in it in what goes wrong."""
+    """Name the file and the place in it in errors."""
     try:
         yield
     except ValueError as error:
@@ -229,7 +229,7 @@ class _Reader:
             seen[meant] = value
 
     def _meant(self, key: str, value: Value) -> Any:
-        """What values that mean the same have in common."""
+        """The common identity of values that mean the same."""
         scene = self._changes(key, value).adapted.get("scene") if key == "scene" else None
         return value if scene is None else scene_identity(scene)
 
@@ -273,7 +273,7 @@ class _Reader:
             if named := own.of_render():
                 raise ValueError(f"{self.path}: [grid]: {', '.join(named)} belong to a render, and {scene} is "
                                  "photographed unchanged: put it into a study of its own")  # fmt: skip
-        if "dark" in given:  # what [override] says of the capture is for the other scenes
+        if "dark" in given:  # the capture's settings in [override] are for the other scenes
             if named := own.of_capture():
                 raise ValueError(f"{self.path}: [grid]: {', '.join(named)} belong to a simulated exposure, and {scene} "
                                  "is dark already: put it into a study of its own")  # fmt: skip

@@ -32,7 +32,7 @@ Config = TypeVar("Config", bound="DataclassInstance")
 
 @dataclass(frozen=True, kw_only=True)
 class Preset:
-    """An experiment: what to render, how to photograph it, which methods with which settings."""
+    """An experiment: the scene to render, how to photograph it, which methods with which settings."""
 
     render: RenderConfig
     folder: Path | None = None  # a set folder to photograph instead of a render
@@ -74,7 +74,7 @@ class Preset:
         )  # fmt: skip
 
     def refuse_lacking(self) -> None:
-        """Refuse methods that lack what none of the stages before them can give: said before any work.
+        """Refuse methods that lack data which none of the stages before them can give: said before any work.
 
         Raises:
             LacksInput: If there is one.
@@ -100,7 +100,7 @@ def _published(make: Callable[[], Any], key: str) -> bool:
 
 @dataclass(frozen=True)
 class _Recipe:
-    """What the configuration of a method is made of; equal if all of it is, types of numbers included."""
+    """The parts of a method's configuration; equal if all parts are, types of numbers included."""
 
     text: str
     make: Callable[[], Any]

@@ -40,7 +40,7 @@ def measurements_of(
         path: The file.
         table: Its content.
         subject: The subject of a file that names none.
-        quick: With what the file has for that.
+        quick: With the file's tables for that.
         seeds: Instead of the file's.
 
     Raises:

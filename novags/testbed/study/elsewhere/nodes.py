@@ -29,7 +29,7 @@ class Away:
     """An entry that a node has to make or find.
 
     Attributes:
-        chain: The task, after all that it is made from.
+        chain: The task, after all its inputs.
         threads: Of each of these.
         url: The store.
         scratch: Folder on each node that holds the folder of entries, see `scratch_folder`; None: that for temporary
@@ -45,7 +45,7 @@ class Away:
 
 
 def make(away: Away, console: Console) -> dict[str, Any]:
-    """Make sure that an entry is complete in the store; what nodes do. Returns as `entry.ensure`, and its scores."""
+    """Make sure that an entry is complete in the store; called on nodes. Returns as `entry.ensure`, and its scores."""
     scratch = scratch_folder(Path(away.scratch or tempfile.gettempdir()).expanduser())
     contents: dict[str, str] = {}
     for task, threads in zip(away.chain, away.threads, strict=True):
@@ -105,7 +105,7 @@ def _fetched(order: Order, remote: Remote, console: Console) -> Seal | None:
 
 
 def known(plan: Plan, remote: Remote, folder: Path) -> dict[str, Outcome]:
-    """What of a study is complete in its store; nothing but seals and scores is fetched.
+    """The complete entries of a study in its store; nothing but seals and scores is fetched.
 
     Args:
         plan: The study.

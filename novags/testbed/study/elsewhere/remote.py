@@ -1,7 +1,7 @@
 """A store at a URL that fsspec knows (s3://, gs://, sftp://, file://, ...), laid out as one on a disk.
 
-An entry is there when its seal is, which is written last. Everything that is fetched is compared with the checksums of
-the seal, so that two studies that send the same entry at once, or a transfer that broke, cost a repetition at most.
+An entry is there when its seal is, which is written last. Every fetched file is compared with the checksums of the
+seal, so that two studies that send the same entry at once, or a transfer that broke, cost a repetition at most.
 """
 
 from concurrent.futures import ThreadPoolExecutor

@@ -32,7 +32,7 @@ class Work:
         plan: The study.
         out: Its folder.
         store: The store; of one at a URL, a folder for seals and scores.
-        costs: What tasks will cost.
+        costs: The predicted costs of tasks.
         longest: Seconds from the start of each task to the end of the longest chain that begins with it, by key.
         watcher: Hears when tasks start, proceed and end.
         known: How some tasks have ended before.
@@ -59,7 +59,7 @@ class Work:
         return str((self.out / log_of(task)).absolute())
 
     def order(self, key: str, results: Mapping[str, Any], threads: int) -> Order:
-        """What a worker is sent."""
+        """The message to a worker."""
         task = self.plan.tasks[key]
         source = self.plan.tasks[task.needs[0]].folder(self.store) if task.needs else task.source
         made_of = {need: result["content"] for need, result in results.items()}
@@ -114,7 +114,7 @@ class OneMachine:
 
     @staticmethod
     def whole(ahead: Sequence[Worker] = ()) -> "OneMachine":
-        """One process at a time, with all cores: what ran beside a measurement would be measured too."""
+        """One process at a time, with all cores: other work beside a measurement would be measured too."""
         return OneMachine(1, cores_here(), ahead)
 
     @property
@@ -192,7 +192,7 @@ def log_of(task: Task) -> str:
 
 
 def _mark(store: Path) -> tuple[str, str]:
-    """Write what nodes must find in the store."""
+    """Write the files that nodes must find in the store."""
     path = (store / MARKER).absolute()
     text = read_text(path) if path.exists() else ""
     if not text:

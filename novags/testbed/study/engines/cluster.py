@@ -20,7 +20,7 @@ from novags.testbed.study.engines.worker import Outcome
 from sensor_model.files.atomic import appending
 from sensor_model.files.reading import brief
 
-LOOK = 0.5  # s between two looks at what the nodes say
+LOOK = 0.5  # s between two looks at the nodes' messages
 AHEAD = 2  # tasks handed to Ray for each that can run: nodes do not wait, and urgent tasks do not queue for long
 NODES_EVERY = 10.0  # s between two looks at which nodes there are
 TELL_EVERY = 2.0  # s between two reports of a task
@@ -55,7 +55,7 @@ class Cluster:
         place: MODULE:FUNCTION that does a job, see `worker`.
         request: The message to a node for a job, from its key and the results of the jobs it needs: "task", "marker"
             (see `node.do`), and "log", where its output goes on this machine.
-        terms: What jobs ask for.
+        terms: The resources that jobs ask for.
         watcher: Hears when tasks start, proceed and end.
     """
 
@@ -101,7 +101,7 @@ class Cluster:
         return self.queue.outcomes
 
     def _submit(self, ray: Any, board: Any) -> None:
-        """Hand to Ray what the nodes can do soon."""
+        """Hand to Ray the tasks that the nodes can do soon."""
         for key in self.queue.ready():
             self._alive(ray)
             if len(self._refs) >= AHEAD * self._places:
@@ -120,12 +120,14 @@ class Cluster:
             self._refs[task.remote(self.place, key, request, environment, board)] = (key, log)
 
     def _asked(self, ray: Any, key: str) -> dict[str, float]:
-        """What a job takes of its node. A prediction of memory keeps it from no node: the largest will do."""
+        """The resources that a job takes of its node. A prediction of memory keeps it from no node: the largest will
+        do.
+        """
         largest = max((resources.get("memory", 0.0) for resources in self._alive(ray)), default=0.0)
         return {"memory": float(int(min(self.terms.memory(key), largest))), **self.terms.resources(key)}
 
     def _strategy(self, key: str) -> Any:
-        """Near what a job is made from: that is in the memory or on the disk of the node that made it."""
+        """Near the inputs of a job: they are in the memory or on the disk of the node that made them."""
         from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
         for need in self._needs[key]:
@@ -156,7 +158,7 @@ class Cluster:
     def _hear(self, ray: Any, board: Any) -> None:
         """Wait a little for results, and take all that came."""
         if not self._refs:
-            time.sleep(LOOK)  # another process is at work on all that is left
+            time.sleep(LOOK)  # another process is at work on all remaining tasks
         else:
             done, _ = ray.wait(list(self._refs), num_returns=1, timeout=LOOK)
             if done:
@@ -199,7 +201,7 @@ class Cluster:
         self.queue.end(key, done.outcome)
 
     def _stop(self, ray: Any) -> None:
-        """Let what runs mark how far it is and end."""
+        """Let running tasks mark their progress and end."""
         refs = list(self._refs)
         with suppress(ray.exceptions.RayError):
             for ref in refs:
@@ -244,7 +246,7 @@ def on_node(place: str, key: str, request: Mapping[str, Any], environment: Mappi
 
 
 def _result(ray: Any, ref: Any, retries: int) -> node.Done:
-    """What a task sent back; if it could not, how it ended as far as Ray knows."""
+    """The answer of a task; if it could give none, how it ended as far as Ray knows."""
     tried = f" (tried {retries + 1} times)"
     try:
         done: node.Done = ray.get(ref)

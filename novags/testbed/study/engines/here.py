@@ -19,7 +19,7 @@ class Here:
     Attributes:
         console: Where its stages report.
         places: Tasks at a time.
-        errors: What tasks failed with.
+        errors: The errors of failed tasks.
     """
 
     console: Console

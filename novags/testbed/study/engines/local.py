@@ -40,7 +40,7 @@ class Pool:
     Attributes:
         place: MODULE:FUNCTION that does a job, see `worker`.
         request: The message to a worker for a job, from its key and the results of the jobs it needs.
-        limits: What may be used.
+        limits: The memory that may be used.
         watcher: Hears when tasks start, proceed and end.
         environment: Variables of the workers, beside this process's own.
         workers: The present workers; they end with the pool.
@@ -98,7 +98,7 @@ class Pool:
         idle.give(key, request, time.monotonic())
 
     def _fits(self, key: str) -> bool:
-        """Whether memory holds one more job: what the others will still take counts as taken."""
+        """Whether memory holds one more job: the predicted growth of the others counts as taken."""
         if not self._busy:
             return True  # waiting would not make more room
         needed = self._memory(key) - max((w.resident for w in self.workers if w.key is None), default=0)
@@ -118,7 +118,7 @@ class Pool:
     def _hear(self) -> None:
         """Wait a little for messages, and take all that came."""
         if not self.workers:
-            time.sleep(LOOK)  # another process is at work on all that is left
+            time.sleep(LOOK)  # another process is at work on all remaining tasks
         told = wait([worker.connection for worker in self.workers], LOOK)
         for worker in [worker for worker in self.workers if worker.connection in told]:
             try:

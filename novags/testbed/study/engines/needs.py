@@ -1,4 +1,4 @@
-"""What a task takes of a node of a cluster, and how that is said on the command line."""
+"""The needs of a task on a node of a cluster, and their form on the command line."""
 
 import math
 import re
@@ -16,7 +16,7 @@ UNITS = {"": 1e9, "GB": 1e9, "MB": 1e6}  # a bare number means GB
 
 @dataclass(frozen=True)
 class Needs:
-    """What a task takes.
+    """The needs of a task.
 
     Attributes:
         cpus: Cores, which are the threads that it uses.
@@ -71,7 +71,7 @@ def _amount(part: str, text: str) -> tuple[str, float]:
 
 
 def fits(asked: Mapping[str, float], node: Mapping[str, float]) -> bool:
-    """Whether a node has, when it is idle, what a task asks for; both as Ray calls resources."""
+    """Whether an idle node has the resources that a task asks for; both as Ray calls them."""
     return all(node.get(name, 0.0) >= amount for name, amount in asked.items())
 
 

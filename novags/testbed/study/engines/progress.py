@@ -13,7 +13,7 @@ At = tuple[str, int, int, str]  # stage, steps done, steps in all, what
 
 
 class StudyProgress:
-    """Shows how many runs are done, what each worker does and how long it will take.
+    """Shows how many runs are done, the work of each worker and how long it will take.
 
     Args:
         console: Where it goes.

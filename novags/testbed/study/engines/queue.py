@@ -124,7 +124,7 @@ class Queue:
 
 
 def lateness(taken: float, expected: float) -> str | None:
-    """What to say of a job that takes much longer than predicted; None of any other."""
+    """A note on a job that takes much longer than predicted; None for any other."""
     if taken <= max(LATE_SECONDS, LATE * expected):
         return None
     return (f"a task has run for {taken / 60:.0f} min, {taken / max(expected, 1e-9):.0f} times the prediction; "

@@ -104,7 +104,7 @@ def main() -> None:
 
 
 def _listen(connection: Connection, tasks: "queue.SimpleQueue[bytes]") -> None:
-    """Pass on tasks. When the parent ends, this process ends too, whatever it is doing.
+    """Pass on tasks. When the parent ends, this process ends too, even at work.
 
     They stay packed: unpacking imports modules, and two threads that import the same ones meet them half made.
     """

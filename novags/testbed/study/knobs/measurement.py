@@ -1,4 +1,4 @@
-"""One measurement as a stage: what this machine takes and errs at one setting of a knob with one seed."""
+"""One measurement as a stage: the time and the error on this machine at one setting of a knob with one seed."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -44,7 +44,7 @@ class Measurement:
         return code_of(*self.subject.modules)  # the rows of other subjects change nothing
 
     def resolved(self) -> dict[str, Any]:
-        """What a measurement depends on, the machine included."""
+        """Everything a measurement depends on, the machine included."""
         name, setting = self.knob.called(self.setting)
         found = {"subject": self.of, "workload": self.subject.workload, "knob": name, "setting": setting,
                  "seed": self.seed, **environment()}  # fmt: skip

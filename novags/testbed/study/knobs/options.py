@@ -17,7 +17,7 @@ WORDS = {
 
 
 def values(preset: Preset) -> dict[str, int]:
-    """What a preset has for each option. Options are missing if neither its source has them nor any of its methods,
+    """The value of a preset for each option. Options are missing if neither its source has them nor any of its methods,
     unless a variant decides them itself.
     """
     plans = [preset.reconstruct(name) for name in preset.methods]

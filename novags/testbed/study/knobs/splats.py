@@ -78,7 +78,7 @@ def truth(n: int, size: int, seed: int, supersampled: bool) -> bytes:
 
 
 def in_child(order: dict[str, Any], code: str) -> dict[str, Any]:
-    """What the child process says.
+    """The answer of the child process.
 
     Args:
         order: Its work.
