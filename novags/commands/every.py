@@ -13,7 +13,7 @@ HELP = (
 
 
 def without_common(words: Sequence[str]) -> tuple[list[str], AbstractContextManager[None]]:
-    """The words of a command line that are left for its command, and the locks to hold while it runs.
+    """The words of a command line that are left for its command, and the context to hold while it runs.
 
     Raises:
         ValueError: If the folder of an option is missing.

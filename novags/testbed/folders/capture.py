@@ -7,7 +7,7 @@ truth/NNNN.exr        digital numbers: analytic mean and variance, noise-free (c
                       filter array also what three chips would give without noise (clean.R, clean.G, clean.B)
 transforms.json ...   the cameras, as in a multiview set
 
-A capture that was imported (`folders.imported`) has those of these files that its photographs provide.
+A capture that was imported (`folders.imported`) has only the files that its photographs provide.
 """
 
 from collections.abc import Callable

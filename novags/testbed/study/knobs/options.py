@@ -17,8 +17,8 @@ WORDS = {
 
 
 def values(preset: Preset) -> dict[str, int]:
-    """The value of a preset for each option. Options are missing if neither its source has them nor any of its methods,
-    unless a variant decides them itself.
+    """The value of a preset for each option. An option is missing if neither its source nor any of its methods has it;
+    a method whose variant decides it itself does not count.
     """
     plans = [preset.reconstruct(name) for name in preset.methods]
     found: dict[str, int | None] = {
