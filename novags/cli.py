@@ -12,15 +12,15 @@ from novags.commands.dataset import dataset
 from novags.commands.every import HELP, without_common
 from novags.commands.experiment import run
 from novags.commands.inquiries import doctor, help_, list_
+from novags.commands.looking import video, view
+from novags.commands.new import new
 from novags.commands.pareto import pareto
 from novags.commands.photographs import denoise, import_
 from novags.commands.results import characterise, export_results, report, score
 from novags.commands.stages import capture, plan, poses, reconstruct, render
 from novags.commands.store import store
 from novags.commands.study import study
-from novags.commands.video import video
-from novags.commands.view import view
-from novags.failure import errors_in_one_line
+from novags.failure import errors_in_one_line, warnings_in_one_line
 
 NUMBERS = tyro.constructors.ConstructorRegistry()
 COMMANDS: dict[str, Callable[..., None]] = {
@@ -45,6 +45,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
         video,
         export_results,
         characterise,
+        new,
         doctor,
         help_,
     )
@@ -58,7 +59,7 @@ def main() -> None:
 
         print(f"novags {version('novags')}")
         return
-    with errors_in_one_line():
+    with errors_in_one_line(), warnings_in_one_line():
         words, common = without_common(sys.argv[1:])
         commands = {name: _with_numbers(command) for name, command in COMMANDS.items()}
         with common, NUMBERS:

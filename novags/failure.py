@@ -8,9 +8,11 @@ import signal
 import sys
 import tempfile
 import traceback
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 TURNING = "\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069"
 OURS = ("novags.", "simscenes.", "sensor_model.")
@@ -46,6 +48,22 @@ def errors_in_one_line() -> Iterator[None]:
         if isinstance(error, ValueError | OSError) or (isinstance(error, MemoryError) and str(error)):
             sys.exit(_say(f"error: {_brief(error, 2000)}", 2 if isinstance(error, ValueError) else 1))
         sys.exit(_say(f"error: {_brief(explained(error), 3000)}", 1))
+
+
+@contextmanager
+def warnings_in_one_line() -> Iterator[None]:
+    """Around a command: a warning of ours that no console took over is one line, without a place in the source."""
+
+    def show(message: Warning | str, category: type[Warning], *place: Any) -> None:
+        if category is UserWarning:
+            _say(f"warning: {message}", 0)
+        else:
+            before(message, category, *place)
+
+    with warnings.catch_warnings():
+        before = warnings.showwarning
+        warnings.showwarning = show  # type: ignore[assignment] # by place alone
+        yield
 
 
 def _is_interruption(error: BaseException | None) -> bool:

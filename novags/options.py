@@ -8,7 +8,7 @@ import tyro
 
 PresetName = Literal["demo", "small", "paper"]
 Device = Literal["auto", "cpu", "cuda"]
-Listed = Literal["all", "scenes", "sensors", "methods", "levels", "presets", "cameras"]
+Listed = Literal["all", "scenes", "sensors", "methods", "levels", "presets", "cameras", "enhancers"]
 Folder = Annotated[Path, tyro.conf.Positional]
 Folders = Annotated[tuple[Path, ...], tyro.conf.Positional]
 Name = Annotated[str, tyro.conf.Positional]

@@ -12,7 +12,7 @@ SOURCES: Registry[CameraSource] = Registry({
     "dust3r": "novags.cameras.sources.dust3r:SOURCE",
     "mast3r": "novags.cameras.sources.mast3r:SOURCE",
     "vggsfm": "novags.cameras.sources.vggsfm:SOURCE",
-})  # fmt: skip
+}, "novags.cameras", CameraSource)  # fmt: skip
 
 
 def parse_cameras(text: str) -> CameraConfig:

@@ -23,7 +23,7 @@ def doctor() -> None:
 
 
 def list_(what: Annotated[Listed, tyro.conf.Positional] = "all") -> None:
-    """List everything available: scenes, sensors, methods and variants, light levels, presets, cameras.
+    """List everything available: scenes, sensors, methods and variants, light levels, presets, cameras, enhancers.
 
     Args:
         what: One of these lists, or all.

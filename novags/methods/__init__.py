@@ -37,7 +37,9 @@ METHODS: Registry[Method] = Registry(
         "i2-nerf": "novags.methods.nerf.rows.i2_nerf:METHOD",
         "nerf-oracle": "novags.methods.nerf.rows.nerf_oracle:METHOD",
         "averaging": "novags.methods.averaging.row:METHOD",
-    }
+    },
+    "novags.methods",
+    Method,
 )
 
 VARIANTS: Registry[Variant] = Registry(
@@ -63,6 +65,12 @@ VARIANTS: Registry[Variant] = Registry(
 def names() -> tuple[str, ...]:
     """Every method and every named variant."""
     return (*METHODS, *VARIANTS)
+
+
+def title_of(method: str) -> str:
+    """The work of a method, in a sentence, with the package or file that it comes from if that is not novags."""
+    origin = METHODS.origin_of(method)
+    return METHODS[method].title if origin is None else f"{METHODS[method].title} (from {origin})"
 
 
 def chosen(name: str, more: Mapping[str, Variant] | None = None) -> Variant:

@@ -25,7 +25,9 @@ SCENES: Registry[Scene] = Registry(
         "bookshop": "simscenes.scenes.indoors:BOOKSHOP",
         "busts": "simscenes.scenes.indoors:BUSTS",
         "thicket": "simscenes.scenes.close:THICKET",
-    }
+    },
+    "novags.scenes",
+    Scene,
 )
 DIGITS = 18  # of a scene's seed, at most: it is part of file names
 

@@ -10,7 +10,7 @@ import numpy as np
 from simscenes.scenes import sculpture
 from simscenes.scenes import shapes as s
 from simscenes.scenes import textures as t
-from simscenes.scenes.printed import CHART, NOTICES, VERSES, page
+from simscenes.scenes.printed.pages import CHART, NOTICES, VERSES, page
 from simscenes.scenes.scene import ROOM, Scene, orbit
 
 _JACKETS = ("1d3557", "8c2f39", "2f5d50", "d9a441", "5b3a6b", "e8dcc0", "36454f")

@@ -3,6 +3,10 @@
 import textwrap
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from sensor_model.files.registry import Registry
 
 WIDTH = 110
 
@@ -33,7 +37,7 @@ def scenes() -> str:
     """The catalogue of scenes with the purpose of each."""
     from simscenes.scenes import SCENES
 
-    rows = [(name, first_sentence(scene.text)) for name, scene in SCENES.items()]
+    rows = [(name, f"{first_sentence(scene.text)}{_from(SCENES, name)}") for name, scene in SCENES.items()]
     rows.append(("NAME:SEED", "a variation of a scene, such as tabletop:3"))
     rows.append(("FILE.xml", "any Mitsuba 3 scene"))
     pictures = Path(__file__).resolve().parents[3] / "docs" / "scenes.png"
@@ -54,9 +58,9 @@ def sensors() -> str:
 
 def methods() -> str:
     """Methods, then the named variants of them."""
-    from novags.methods import METHODS, VARIANTS
+    from novags.methods import METHODS, VARIANTS, title_of
 
-    rows = [(name, f"[{method.family}] {method.title}. After: {method.source}") for name, method in METHODS.items()]
+    rows = [(name, f"[{method.family}] {title_of(name)}. After: {method.source}") for name, method in METHODS.items()]
     rows += [(name, f"[variant of {variant.method}] {variant.title}") for name, variant in VARIANTS.items()]
     return f"{table(rows)}\n  more: --variant NAME=METHOD:SETTING=VALUE,..., see novags help variants"
 
@@ -90,7 +94,20 @@ def cameras() -> str:
     """Where cameras can come from."""
     from novags.cameras import SOURCES
 
-    return table([(name, source.description) for name, source in SOURCES.items()])
+    return table([(name, f"{source.description}{_from(SOURCES, name)}") for name, source in SOURCES.items()])
+
+
+def enhancers() -> str:
+    """Enhancers of dark pictures."""
+    from novags.methods.enhancers import ENHANCERS
+
+    return table([(name, f"{enhancer.title}{_from(ENHANCERS, name)}") for name, enhancer in ENHANCERS.items()])
+
+
+def _from(rows: "Registry[Any]", name: str) -> str:
+    """Where a row from outside comes from."""
+    origin = rows.origin_of(name)
+    return "" if origin is None else f" (from {origin})"
 
 
 def first_sentence(text: str | None) -> str:
@@ -105,4 +122,5 @@ LISTS: dict[str, Callable[[], str]] = {
     "levels": levels,
     "presets": presets,
     "cameras": cameras,
+    "enhancers": enhancers,
 }

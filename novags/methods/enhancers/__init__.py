@@ -27,7 +27,9 @@ ENHANCERS: Registry[Enhancer] = Registry(
         "uretinex": "novags.methods.enhancers.rows.uretinex:ENHANCER",
         "retinexformer": "novags.methods.enhancers.rows.retinexformer:ENHANCER",
         "none": "novags.methods.enhancers.rows.none:ENHANCER",
-    }
+    },
+    "novags.enhancers",
+    Enhancer,
 )
 
 

@@ -1,7 +1,7 @@
 """One enhancer: its row in the table `ENHANCERS`, and the base of every configuration."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -24,12 +24,14 @@ class Enhancer:
             very same enhancement.
         typical: (params of several views) -> the params in their middle, for a picture that has no noisy twin.
         network: () -> the `networks.Kind` behind it, if it is a network.
+        title: Its work, in a few words.
     """
 
     config: type
     enhance: Callable[..., Any]
     typical: Callable[..., Any]
     network: Callable[[], Any] | None = None
+    title: str = field(kw_only=True)
 
 
 def stamps(config: Any) -> tuple[tuple[int, ...], ...]:

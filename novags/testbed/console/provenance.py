@@ -5,6 +5,7 @@ import os
 import platform
 import resource
 import sys
+from collections.abc import Mapping
 from contextlib import suppress
 from functools import cache
 from importlib import metadata
@@ -36,11 +37,15 @@ def package_version(name: str) -> str | None:
         return None
 
 
+def environment(outside: Mapping[str, str] | None = None) -> dict[str, Any]:
+    """Versions and hardware, as every record states them; `outside`: versions of other packages in use, by name."""
+    return {"versions": {**_versions(), **(outside or {})}, "hardware": hardware()}
+
+
 @cache
-def environment() -> dict[str, Any]:
-    """Versions and hardware, as every record states them."""
+def _versions() -> dict[str, str]:
     versions = {"python": platform.python_version(), **{name: package_version(name) for name in PACKAGES}}
-    return {"versions": {name: version for name, version in versions.items() if version}, "hardware": hardware()}
+    return {name: version for name, version in versions.items() if version}
 
 
 def hardware() -> dict[str, Any]:

@@ -53,24 +53,22 @@ class Console:
         if self.quiet:
             yield lambda done, total, what: None
         elif self.live:
-            with self._bar() as bar:
-                task = bar.add_task(shown(stage), total=None, what="", left="")
-
-                def update(done: int, total: int, what: str) -> None:
-                    bar.update(task, completed=done, total=total, what=shown(what), left=_left(left, done, total, what))
-
-                yield update
+            with self.bars("<22", 30) as bar:
+                task = bar.add_task(shown(stage), total=None, what="")
+                yield lambda done, total, what: bar.update(
+                    task, completed=done, total=total, what=shown(_with_left(left, done, total, what))
+                )
         else:
             yield self._lines(stage, left)
 
-    def _bar(self) -> Progress:
+    def bars(self, names: str, length: int) -> Progress:
+        """Bars on the terminal; their names are formatted like this, and the field `what` stands at the end."""
         return Progress(
-            TextColumn("{task.description:<22}", markup=False),  # the name of a folder may hold brackets
-            BarColumn(bar_width=30),
+            TextColumn(f"{{task.description:{names}}}", markup=False),  # the name of a folder may hold brackets
+            BarColumn(length),
             MofNCompleteColumn(),
-            TextColumn("{task.fields[what]}", markup=False),  # and so may the line of a view
             TimeElapsedColumn(),
-            TextColumn("{task.fields[left]}"),
+            TextColumn("{task.fields[what]}", markup=False),  # and the name of a view may, too
             console=self._rich,
         )
 
@@ -79,11 +77,11 @@ class Console:
 
         def update(done: int, total: int, what: str) -> None:
             nonlocal last
-            text, now = _left(left, done, total, what), time.monotonic()
+            text, now = _with_left(left, done, total, what), time.monotonic()
             if now - last < PLAIN_INTERVAL and done < total:
                 return
             last = now
-            self.note(f"{stage}: {done}/{total}  {what}{text and '  '}{text}")
+            self.note(f"{stage}: {done}/{total}  {text}")
 
         return update
 
@@ -93,9 +91,10 @@ def shown(text: str) -> str:
     return re.sub(r"[^\n\t]+", lambda found: printable(found[0]), text)
 
 
-def _left(left: TimeLeft, done: int, total: int, what: str) -> str:
+def _with_left(left: TimeLeft, done: int, total: int, what: str) -> str:
+    """The activity and the time left, of which some stages give their own estimate."""
     text = left.update(done, total)
-    return "" if "left" in what else text  # some stages give their own estimate
+    return f"{what}  {text}" if text and "left" not in what else what
 
 
 def losses_text(losses: Mapping[str, float]) -> str:

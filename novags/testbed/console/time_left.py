@@ -1,4 +1,8 @@
-"""How long a piece of work still takes, each of its parts at its own pace."""
+"""How long a piece of work still takes, each of its parts at its own pace.
+
+The bars are rich's, its estimate is not: it knows no parts. With 300 quick steps of a denoiser before 700 slow ones of
+a fit it promised 15 s where 211 were left.
+"""
 
 import time
 from collections.abc import Callable, Mapping

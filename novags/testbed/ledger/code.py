@@ -5,13 +5,14 @@ The rows of a `Registry` are not followed: a result depends on the rows that it 
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, field, fields, is_dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 from novags.testbed.ledger.reach import PACKAGES, Counted, is_outside, path_of, reached, source_of
 from novags.testbed.ledger.source import hashed, sources
+from sensor_model.files.outside import origin_of
 from sensor_model.files.python import ROOT
 
 
@@ -23,11 +24,13 @@ class Code:
         files: Hash of the counting definitions in every file (of data: of the content), by its path from the root.
         texts: Hash of the whole content of the same files.
         roots: The modules that reach them.
+        outside: Version of every package and file from outside among the roots, by its name.
     """
 
     files: dict[str, str]
     texts: dict[str, str]
     roots: tuple[str, ...] = ()
+    outside: dict[str, str] = field(default_factory=dict)
 
     @property
     def key(self) -> str:
@@ -57,11 +60,16 @@ def _code_of(roots: frozenset[str]) -> Code:
     files, texts = dict[str, str](), dict[str, str]()
     for module, counted in reached(roots).items():
         path = path_of(module)
-        files[_name(path)], texts[_name(path)] = _tokens(module, counted), _content(path)
+        name = _name(path, module)
+        files[name], texts[name] = _tokens(module, counted), _content(path)
         beside = {_name(other): _content(other) for other in _beside(path)}
         files, texts = files | beside, texts | beside
     sources().remember()
-    return Code(dict(sorted(files.items())), dict(sorted(texts.items())), tuple(sorted(roots)))
+    origins = {origin.name: origin.version for root in roots if (origin := origin_of(root)) is not None}
+    for name, version in origins.items():  # the version of a package stands for its compiled code
+        files.setdefault(name, version)
+        texts.setdefault(name, version)
+    return Code(dict(sorted(files.items())), dict(sorted(texts.items())), tuple(sorted(roots)), origins)
 
 
 def _tokens(module: str, counted: Counted) -> str:
@@ -72,8 +80,12 @@ def _tokens(module: str, counted: Counted) -> str:
     return hashed("\n".join([*definitions, *imports]).encode())
 
 
-def _name(path: Path) -> str:
-    return path.relative_to(ROOT).as_posix() if path.is_relative_to(ROOT) else path.name
+def _name(path: Path, module: str = "") -> str:
+    """The path from the root; of a module from outside the same on every machine."""
+    if path.is_relative_to(ROOT):
+        return path.relative_to(ROOT).as_posix()
+    above = module.split(".") if path.name == "__init__.py" else module.split(".")[:-1]
+    return "/".join([*above, path.name])
 
 
 @cache

@@ -9,8 +9,10 @@ names: `tests/end_to_end/ledger/test_what_runs.py` watches small stages and find
 
 import sys
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 
 from novags.testbed.ledger.source import Source, sources
@@ -23,6 +25,7 @@ OUTSIDE = (
     *(f"novags.{name}" for name in ("cli", "commands", "failure", "options", "process", "testing")),
     *(f"novags.testbed.{name}" for name in ("console", "flight", "ledger", "report", "viewer")),
     "sensor_model.files.lock",
+    "sensor_model.files.outside",
     "sensor_model.presets",
 )  # fmt: skip
 
@@ -190,11 +193,21 @@ def _module(module: str) -> _Module:
 
 
 def _file(module: str) -> Path | None:
-    """The file of a module: of ours by its name, of another one by where it was loaded from; None if it has none."""
+    """The file of a module: of ours by its name, of another one by where it is loaded from; None if it has none."""
     if module.partition(".")[0] in PACKAGES and (found := _of_ours(module)):
         return found
-    loaded = getattr(sys.modules.get(module), "__file__", None)
-    return Path(loaded) if loaded and loaded.endswith(".py") and Path(loaded).is_file() else None
+    place = getattr(sys.modules.get(module), "__file__", None) or _would_load(module)
+    return Path(place) if place and place.endswith(".py") and Path(place).is_file() else None
+
+
+@cache
+def _would_load(module: str) -> str | None:
+    """Where a module from outside would be loaded from that is not, as one that is imported when it is needed."""
+    if module.partition(".")[0] in PACKAGES:  # to look for it would import the modules above it
+        return None
+    with suppress(ImportError, ValueError):
+        return None if (spec := find_spec(module)) is None else spec.origin
+    return None
 
 
 @cache

@@ -216,7 +216,8 @@ class _Stage:
             self._refuse(f"the {' and '.join(changed)} that it reads")
         files = {**self._checksums(witness), self.record_name: hashed(record_digest(body))}
         write_made(self.folder, self.record_name, self.code)
-        write_json(record_path, {**body, "stage": {**asked, **cost(), **environment(), "files": files}})
+        made_by = environment(self.code.outside)
+        write_json(record_path, {**body, "stage": {**asked, **cost(), **made_by, "files": files}})
         self._tidy()
         return read_json(record_path)
 

@@ -3,10 +3,11 @@
 import colorsys
 import json
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
-from novags.methods import METHODS, chosen, with_variants
+from novags.methods import METHODS, chosen, title_of, with_variants
 from novags.methods.variant import STATISTICS, Variant, dotted, sees_statistics
 from novags.settings import changed, flattened, has_setting
 from novags.testbed.folders.run import Run
@@ -69,15 +70,22 @@ def looks_of(names: Iterable[str], study: Mapping[str, Any]) -> dict[str, Row]:
     )  # fmt: skip
     shared, found, used = dotted(study.get("override", {})), dict[str, Row](), list[str]()
     for name in names:
-        variant = None if name in programs else chosen(name, variants)
+        variant = None if name in programs or not _is_known(name, variants) else chosen(name, variants)
         method = None if variant is None else METHODS[variant.method]
         used.append(distinct(OTHER if method is None else method.color, used))
         found[name] = Row(
             name=name, key=f"m{len(found)}", method=name if variant is None else variant.method,
-            title="" if method is None else method.title, family="" if method is None else method.family,
+            title="" if variant is None else title_of(variant.method), family="" if method is None else method.family,
             color=used[-1], bound=None, competes=variant is None or not _sees_truth(variant, shared), enhancement="",
         )  # fmt: skip
     return found
+
+
+def _is_known(name: str, variants: Mapping[str, Variant]) -> bool:
+    """Whether there is such a method here; a study may have one of a plugin."""
+    with suppress(ValueError):
+        return chosen(name, variants).method in METHODS
+    return False
 
 
 def _sees_truth(variant: Variant, shared: Mapping[str, Any]) -> bool:

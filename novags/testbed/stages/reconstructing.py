@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from novags.cameras.estimate import CameraEstimate
-from novags.methods import METHODS
+from novags.methods import METHODS, title_of
 from novags.methods.inputs import LacksInput
 from novags.methods.problem import Problem, RawPictures, TrueSurface
 from novags.methods.reconstruction import Reconstruction
@@ -208,7 +208,7 @@ def reconstruct_views(
     return {
         "name": variant.name,
         "method": variant.method,
-        "title": variant.title or method.title,
+        "title": variant.title or title_of(variant.method),
         "variant": dict(variant.settings),
         "capture": recorded_place(folder, capture.path),
         "space": result.space,

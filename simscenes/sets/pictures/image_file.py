@@ -97,7 +97,7 @@ def read_image(file: Path, flags: int) -> NDArray[Any]:
         raise ValueError(f"{file} is missing or not a readable image")
     image_size(file)
     content = whole_content(file)
-    if flags & cv2.IMREAD_ANYDEPTH and (problem := misread(file)):  # a part of IMREAD_UNCHANGED, too
+    if problem := misread(file, deep=bool(flags & cv2.IMREAD_ANYDEPTH)):  # which is a part of IMREAD_UNCHANGED, too
         raise ValueError(f"{file} {problem}")
     try:
         with _quiet_opencv():

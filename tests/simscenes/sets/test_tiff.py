@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import PIL.Image
 import pytest
+import tifffile
 
 from simscenes.sets.pictures.image_file import alpha_of, has_alpha, header, image_size, read_image, read_rgb
 from simscenes.sets.pictures.tiff import tiff_tags
@@ -118,7 +119,6 @@ def test_kinds_that_are_not_read_are_refused_by_what_they_are(
 @pytest.mark.parametrize("kind", ["planes", "planes and alpha", "0 is white"])
 def test_deep_files_whose_codes_opencv_confuses_are_refused_and_read_at_8_bits(kind: str, tmp_path: Path) -> None:
     """Rationale: planes came out interleaved, and 0 as black, without a word."""
-    tifffile = pytest.importorskip("tifffile")
     file, codes = tmp_path / "a.tif", RNG.integers(0, 256, (4 if "alpha" in kind else 3, 6, 5), np.uint16) * 257
     if kind == "0 is white":
         tifffile.imwrite(file, 65535 - codes[0], photometric="miniswhite")

@@ -22,6 +22,7 @@ ENHANCER = Enhancer(
     DragoConfig,
     Later("novags.methods.enhancers.curves.drago:drago"),
     Later("novags.methods.enhancers.curves.curve:geometric_mean_params"),
+    title="adaptive logarithm (Drago, Myszkowski, Annen, Chiba 2003)",
 )
 METHOD = by_enhancer(
     DragoConfig(),

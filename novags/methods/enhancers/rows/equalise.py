@@ -16,6 +16,7 @@ ENHANCER = Enhancer(
     EqualiseConfig,
     Later("novags.methods.enhancers.curves.equalise:equalise"),
     Later("novags.methods.enhancers.curves.equalise:mean_curve"),
+    title="histogram equalisation of the luma",
 )
 METHOD = by_enhancer(
     EqualiseConfig(),

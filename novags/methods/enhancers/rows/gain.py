@@ -22,6 +22,7 @@ ENHANCER = Enhancer(
     GainConfig,
     Later("novags.methods.enhancers.curves.gain:gain"),
     Later("novags.methods.enhancers.curves.curve:geometric_mean_params"),
+    title="a factor on the linear light, as a longer exposure gives",
 )
 METHOD = by_enhancer(
     GainConfig(),

@@ -26,6 +26,7 @@ ENHANCER = Enhancer(
     GammaConfig,
     Later("novags.methods.enhancers.curves.gamma:gamma"),
     Later("novags.methods.enhancers.curves.gamma:mean_params"),
+    title="a power law of the codes",
 )
 METHOD = by_enhancer(
     GammaConfig(),

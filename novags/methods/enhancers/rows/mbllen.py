@@ -22,6 +22,7 @@ ENHANCER = Enhancer(
     Later("novags.methods.enhancers.mbllen:enhance"),
     Later("novags.methods.enhancers.mbllen:typical"),
     network=partial(loaded, "novags.methods.enhancers.mbllen:MBLLEN"),
+    title="MBLLEN (BMVC 2018), a network with official weights",
 )
 METHOD = by_enhancer(
     MbllenConfig(),

@@ -17,4 +17,4 @@ def no_params(params: Any) -> None:
     """`Enhancer.typical`."""
 
 
-ENHANCER = Enhancer(type(None), unchanged, no_params)
+ENHANCER = Enhancer(type(None), unchanged, no_params, title="the pictures as taken")

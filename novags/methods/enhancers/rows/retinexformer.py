@@ -21,6 +21,7 @@ ENHANCER = Enhancer(
     Later("novags.methods.enhancers.retinexformer:enhance"),
     Later("novags.methods.enhancers.networks:no_params"),
     network=partial(loaded, "novags.methods.enhancers.retinexformer:RETINEXFORMER"),
+    title="Retinexformer (ICCV 2023), a network with official weights",
 )
 METHOD = by_enhancer(
     RetinexformerConfig(),

@@ -33,6 +33,7 @@ ENHANCER = Enhancer(
     Later("novags.methods.enhancers.sci:enhance"),
     Later("novags.methods.enhancers.networks:no_params"),
     network=partial(loaded, "novags.methods.enhancers.sci:SCI"),
+    title="SCI (CVPR 2022) and SCI++ (TPAMI 2025), a network that learns from the scene",
 )
 METHOD = by_enhancer(
     SciConfig(),

@@ -26,6 +26,7 @@ ENHANCER = Enhancer(
     Later("novags.methods.enhancers.uretinex:enhance"),
     Later("novags.methods.enhancers.networks:no_params"),
     network=partial(loaded, "novags.methods.enhancers.uretinex:URETINEX"),
+    title="URetinex-Net (CVPR 2022), a network with official weights",
 )
 METHOD = by_enhancer(
     URetinexConfig(),

@@ -30,6 +30,7 @@ ENHANCER = Enhancer(
     Later("novags.methods.enhancers.zero_dce:enhance"),
     Later("novags.methods.enhancers.networks:no_params"),
     network=partial(loaded, "novags.methods.enhancers.zero_dce:ZERO_DCE"),
+    title="Zero-DCE (CVPR 2020), a network that learns from the scene",
 )
 METHOD = by_enhancer(
     ZeroDceConfig(),

@@ -12,7 +12,7 @@ from typing import Any
 
 from novags.testbed.console.csv_text import as_csv
 from novags.testbed.ledger.contents import write_json
-from novags.testbed.report.level_chart import Line, alone, level_chart
+from novags.testbed.report.charts import MARKS, Axis, Chart, Point, Series, alone
 from novags.testbed.report.material import Material
 from novags.testbed.report.parts import Page, Table, TableRow, heads, num
 from novags.testbed.report.rows import Row
@@ -29,8 +29,8 @@ HEADINGS = {  # columns of KNEES in the words of the page
 
 
 @dataclass(frozen=True)
-class Chart:
-    """Curves of one score in one place."""
+class Picture:
+    """Curves of one score in one place, and where they are drawn."""
 
     title: str  # score, and place if there are several
     file: str  # name of the picture
@@ -87,7 +87,7 @@ def _table(knees: Sequence[Mapping[str, Any]], curves: Sequence[Curve]) -> Table
     return Table("knees", "Where each curve breaks", columns, rows, "scores short") if knees else None
 
 
-def charts_of(curves: Sequence[Curve]) -> list[Chart]:
+def charts_of(curves: Sequence[Curve]) -> list[Picture]:
     """The charts that show something: one for each score and place."""
     varied = [name for name in curves[0].place if len({str(curve.place[name]) for curve in curves}) > 1]
     groups: dict[tuple[str, str], list[Curve]] = {}
@@ -95,14 +95,14 @@ def charts_of(curves: Sequence[Curve]) -> list[Chart]:
         place = ", ".join(f"{name} {curve.place[name]}" for name in varied)
         groups.setdefault((curve.measure.key, place), []).append(curve)
     order = list(dict.fromkeys(place for _, place in groups))
-    found = list[Chart]()
+    found = list[Picture]()
     for (key, place), members in sorted(groups.items(), key=lambda item: order.index(item[0][1])):
         if key == "registered" and not varies(members):
             continue  # cameras were given
         ending = f"-{slug}" if (slug := re.sub(r"[^A-Za-z0-9.]+", "-", place).strip("-").lower()) else ""
         label = members[0].measure.label
         file = _unused(f"light-{key}{ending}", [chart.file for chart in found])
-        found.append(Chart(f"{label}: {place}" if place else label, file, members))
+        found.append(Picture(f"{label}: {place}" if place else label, file, members))
     return found
 
 
@@ -117,19 +117,28 @@ def varies(curves: Sequence[Curve]) -> bool:
     return len({value for curve in curves for level in curve.levels for value in level.values}) > 1
 
 
-def draw(chart: Chart, looks: Mapping[str, Row]) -> str:
-    """The chart as SVG."""
+def draw(picture: Picture, looks: Mapping[str, Row]) -> str:
+    """Means over the light, from the worst to the best of the seeds, and a ring where a curve breaks."""
     lines = []
-    for curve in chart.curves:
-        look = looks[curve.method]
-        points = [(level.electrons, level.mean, min(level.values), max(level.values))
-                  for level in curve.levels if level.mean is not None]  # fmt: skip
-        knee = curve.knee.electrons if curve.knee else None
-        lines.append(Line(curve.method, look.key, points, dashed=not look.competes, knee=knee))
-    measure = chart.curves[0].measure
+    for place, curve in enumerate(picture.curves):
+        look, knee = looks[curve.method], curve.knee.electrons if curve.knee else None
+        points = [_point(level.electrons, level.mean, level.values) for level in curve.levels if level.mean is not None]
+        ring = None if knee is None or not points else (knee, f"{curve.method} breaks at {knee:.3g}")
+        lines.append(Series(curve.method, look.key, points, "" if look.competes else "bound",
+                            MARKS[place % len(MARKS)], ring=ring))  # fmt: skip
+    measure = picture.curves[0].measure
     unit = f" ({measure.unit})" if measure.unit else ""
     short = measure.label.partition(" against ")[0]  # the title says against what
-    return level_chart(lines, x_label="electrons per green pixel", y_label=f"{short}{unit}", title=chart.title)
+    levels = sorted({point.x for line in lines for point in line.points})
+    ends = [end for line in lines for point in line.points for end in (point.low, point.high) if end is not None]
+    x = Axis.around("electrons per green pixel", levels, log=True, ticks=levels)
+    return Chart(picture.title, x, Axis.around(f"{short}{unit}", ends), lines, 720, 340, legend=True).svg()
+
+
+def _point(electrons: float, mean: float, values: Sequence[float]) -> Point:
+    least, largest = min(values), max(values)
+    spread = f" ({least:.4g} to {largest:.4g})" if largest > least else ""
+    return Point(electrons, mean, f"{mean:.4g}{spread}", least, largest)
 
 
 def as_record(curve: Curve) -> dict[str, Any]:

@@ -1,18 +1,17 @@
 """How much light the pixels got: a histogram in electrons, or in codes where they are not known; shares of many."""
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from novags.testbed.folders.capture import Capture
-from novags.testbed.report.charts import LEFT, TOP, Frame, Told, log_ticks, scale
+from novags.testbed.report.charts import Axis, Chart, Point, Series
 from novags.testbed.report.grid import by_place
 from novags.testbed.report.material import Material
 from novags.testbed.report.parts import Page, Table, TableRow, heads, num
 
-HEIGHT = 240
+HEIGHT = 260  # px
 CHANNELS = ("red", "green", "blue")
 BINS = 60
 SHARES = {"0.01": "1 % get less", "0.25": "a quarter", "0.5": "half", "0.75": "three quarters", "0.99": "99 %"}
@@ -82,23 +81,13 @@ def _shares(values: np.ndarray, edges: np.ndarray) -> dict[str, np.ndarray]:
     return found
 
 
-def _chart(shares: dict[str, np.ndarray], edges: np.ndarray, x_label: str, *, logarithmic: bool) -> str:
-    top, of = max(share.max() for share in shares.values()) or 1.0, math.log if logarithmic else float
-    frame = Frame(scale(of(edges[0]), of(edges[-1]), of), scale(0.0, top), height=HEIGHT)
-    floor, centre = (
-        frame.at(edges[0], 0)[1],
-        np.sqrt(edges[1:] * edges[:-1]) if logarithmic else edges[1:] / 2 + edges[:-1] / 2,
-    )
-    start, end = frame.at(edges[0], 0)[0], frame.at(edges[-1], 0)[0]
-    parts = [f'<rect class="frame" x="{LEFT}" y="{TOP}" width="{end - start:g}" height="{floor - TOP}"/>']
-    told = list[Told]()
+def _chart(shares: dict[str, np.ndarray], edges: np.ndarray, label: str, *, logarithmic: bool) -> str:
+    centres = np.sqrt(edges[1:] * edges[:-1]) if logarithmic else edges[1:] / 2 + edges[:-1] / 2
+    series = []
     for place, (name, share) in enumerate(shares.items()):
-        corners = [frame.at(edge, part) for edge, part in zip(edges[1:], share, strict=True)]
-        path = f"M{start:.1f},{floor}" + "".join(f"V{y:.1f}H{x:.1f}" for x, y in corners)
-        parts.append(f'<path class="line dash{place} {name}" d="{path}"><title>{name}</title></path>')
-        told.append((name, name, [(*frame.at(c, part), f"{c:.3g}", f"{part:.2%}")
-                                  for c, part in zip(centre, share, strict=True)]))  # fmt: skip
-    ticks = log_ticks(math.log10(edges[0]), math.log10(edges[-1])) if logarithmic else [0, 64, 128, 192, 255]
-    across = [(value, f"{value:g}") for value in ticks]
-    return frame.drawn(parts, told, across, [(top, f"{top:.1%}")], x_label=x_label, y_label="share of the pixels",
-                       title=f"Histogram of {x_label}", rules=False)  # fmt: skip
+        points = [Point(float(f"{c:.3g}"), 100 * part, f"{part:.2%}") for c, part in zip(centres, share, strict=True)]
+        series.append(Series(name, name, points, f"dash{place}", edges=edges.tolist()))
+    low, high = np.log10(edges[[0, -1]]) if logarithmic else edges[[0, -1]]
+    x = Axis(label, low, high, logarithmic, () if logarithmic else (0, 64, 128, 192, 255))
+    y = Axis("share of the pixels [%]", 0.0, 100 * max(share.max() for share in shares.values()) or 100.0)
+    return Chart(f"Histogram of {label}", x, y, series, height=HEIGHT).svg()

@@ -1,10 +1,10 @@
 """What led to the scores of one place: its cameras, its training pictures, its losses."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from novags.testbed.report.charts import line_chart
+from novags.testbed.report.charts import DASHES, Axis, Chart, Point, Series
 from novags.testbed.report.material import Material
 from novags.testbed.report.parts import Page, Table, TableRow, heads, num
 from novags.testbed.report.words import named, share
@@ -60,11 +60,19 @@ def training(material: Material, page: Page) -> dict[str, Any] | None:
         series[name] = [point for fit in fits(points) for point in ((fit[0][0], math.nan), *smoothed(fit))]
     if not any(loss > 0 for points in series.values() for _, loss in points):
         return None
-    keys = {name: row.key for name, row in place.rows.items()}
     series = {name: points for name, points in series.items() if points}
-    title = "Photometric loss over iterations"
-    chart = line_chart(series, keys, x_label="iteration", y_label="photometric loss", title=title)
-    return {"chart": chart, "key": [(name, keys[name]) for name in series]}
+    key = [(name, place.rows[name].key) for name in series]
+    return {"chart": losses(series, dict(key)), "key": key}
+
+
+def losses(series: Mapping[str, Sequence[tuple[float, float]]], keys: Mapping[str, str]) -> str:
+    """Losses, logarithmic, over iterations: points and the CSS class of the colour by run; NaN leaves a gap."""
+    drawn = [Series(name, keys[name], [Point(x, y, f"{y:.4g}") for x, y in points], f"dash{place % DASHES}")
+             for place, (name, points) in enumerate(series.items())]  # fmt: skip
+    known = [point for each in drawn for point in each.points if point.y > 0]
+    x = Axis("iteration", 0.0, max(point.x for point in known))
+    y = Axis.around("photometric loss", [point.y for point in known], log=True)
+    return Chart("Photometric loss over iterations", x, y, drawn).svg()
 
 
 def _drawn(loss: float | str | None) -> float:

@@ -1,10 +1,11 @@
 """Maps of a view in colours: error, depth, normals."""
 
-import matplotlib
+import cv2
 import numpy as np
 
 from novags.testbed.metrics.tone import affine_aligned
 
+MAPS = {"magma": cv2.COLORMAP_MAGMA, "viridis": cv2.COLORMAP_VIRIDIS}
 ERROR_CEILING = 0.25  # sRGB code units at the bright end of the error maps, the same in every report
 
 
@@ -49,5 +50,6 @@ def normals_of_depth(z: np.ndarray, K: np.ndarray) -> np.ndarray:
 
 
 def colour_map(values: np.ndarray, name: str) -> np.ndarray:
-    """[h,w] in 0..1 (clipped) -> float32 [h,w,3] by a perceptually uniform, colour-blind safe map."""
-    return matplotlib.colormaps[name](np.clip(values, 0.0, 1.0))[..., :3].astype(np.float32)
+    """[h,w] in 0..1 (clipped) -> float32 [h,w,3] of 8-bit codes by a perceptually uniform, colour-blind safe map."""
+    codes = np.minimum(256 * np.clip(np.nan_to_num(values), 0.0, 1.0), 255).astype(np.uint8)
+    return cv2.applyColorMap(codes, MAPS[name])[..., ::-1] / np.float32(255)

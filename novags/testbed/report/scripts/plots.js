@@ -1,48 +1,27 @@
 // Charts show the values where one points at them; with the focus on a chart, the arrow keys walk along it.
 novags.plots = {
-  svg(kind, attributes) {
-    if (!novags.plots.space) {
-      const box = document.createElement("div");
-      box.innerHTML = "<svg></svg>";
-      novags.plots.space = box.firstChild.namespaceURI;
-    }
-    const made = document.createElementNS(novags.plots.space, kind);
-    for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
-    return made;
-  },
+  nearest: (points, x) => points.reduce((best, other) => (Math.abs(other[0] - x) < Math.abs(best[0] - x) ? other : best), [Infinity]),
 
   show(chart, plot, x) {
     this.hide(chart);
-    const places = plot.lines.flatMap((line) => line.points.map((point) => point[0]));
-    const at = places.reduce((best, place) => (Math.abs(place - x) < Math.abs(best - x) ? place : best), places[0]);
-    const near = plot.lines.flatMap((line) => {
-      const point = line.points.reduce((best, other) => (Math.abs(other[0] - at) < Math.abs(best[0] - at) ? other : best), line.points[0]);
-      return point && Math.abs(point[0] - at) <= plot.step ? [{ line, point }] : [];
-    });
-    const height = chart.viewBox.baseVal.height, group = this.svg("g", { class: "plot-shown" });
-    group.append(this.svg("line", { class: "plot-rule", x1: at, x2: at, y1: 14, y2: height - 46 }));
-    for (const { line, point } of near) group.append(this.svg("circle", { class: `plot-point ${line.key}`, cx: point[0], cy: point[1], r: 4 }));
-    chart.append(group);
-    this.note(chart, plot, near, at);
-    plot.at = at;
-  },
-  note(chart, plot, near, at) {
-    const note = chart.parentElement.querySelector(".plot-note"), first = near.find(({ point }) => point[0] === at);
-    note.replaceChildren(Object.assign(document.createElement("strong"), { textContent: `${first.point[2]} ${plot.x}` }));
-    for (const { line, point } of near.sort((a, b) => a.point[1] - b.point[1])) {
-      const row = document.createElement("div"), dot = document.createElement("span");
-      dot.className = `dot ${line.key}`;
-      row.append(dot, `${line.name} ${point[3]}`);
-      note.append(row);
-    }
+    const [at, , said] = this.nearest(plot.lines.flatMap((line) => line.points), x);
+    const near = plot.lines.map((line) => ({ line, point: this.nearest(line.points, at) }));
+    const shown = near.filter(({ point }) => Math.abs(point[0] - at) <= plot.step).sort((a, b) => a.point[1] - b.point[1]);
+    const points = shown.map(({ line, point }) => `<circle class="plot-point ${line.key}" cx="${point[0]}" cy="${point[1]}" r="4"/>`);
+    const rule = `<line class="plot-rule" x1="${at}" x2="${at}" y1="${plot.top}" y2="${plot.floor}"/>`;
+    chart.insertAdjacentHTML("beforeend", `<g class="plot-shown">${rule}${points.join("")}</g>`);
+    const note = chart.nextElementSibling, share = at / chart.viewBox.baseVal.width;
+    note.innerHTML = "<strong></strong>" + shown.map(({ line }) => `<div><span class="dot ${line.key}"></span></div>`).join("");
+    note.firstChild.append(`${said} ${plot.x}`);
+    shown.forEach(({ line, point }, k) => note.children[k + 1].append(`${line.name} ${point[3]}`));
     note.hidden = false;
-    const share = at / chart.viewBox.baseVal.width;
     note.style.left = share < 0.5 ? `${100 * share + 3}%` : "auto";
     note.style.right = share < 0.5 ? "auto" : `${100 * (1 - share) + 3}%`;
+    plot.at = at;
   },
   hide(chart) {
     chart.querySelector(".plot-shown")?.remove();
-    chart.parentElement.querySelector(".plot-note").hidden = true;
+    chart.nextElementSibling.hidden = true;
   },
   walk(chart, plot, way) {
     const places = [...new Set(plot.lines.flatMap((line) => line.points.map((point) => point[0])))].sort((a, b) => a - b);

@@ -14,12 +14,18 @@ novags.views = {
     this.strip(kind, score);
   },
 
+  svg(kind, attributes) {
+    const made = Object.assign(document.createElement("div"), { innerHTML: `<svg><${kind}/></svg>` }).firstChild.firstChild;
+    for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
+    return made;
+  },
+
   strip(kind, score) {
     const box = document.querySelector(`[data-strip="${kind}"]`), { methods, views } = novags.data.views[kind];
     const known = score.values.flat().filter((value) => typeof value === "number");
     box.replaceChildren();
     if (!known.length) return;
-    const svg = novags.plots.svg, width = Math.max(280, box.clientWidth), left = Math.min(0.5 * width, 24 + 7 * Math.max(...methods.map((name) => name.length + 1))), line = 26, height = methods.length * line + 34;
+    const svg = this.svg, width = Math.max(280, box.clientWidth), left = Math.min(0.5 * width, 24 + 7 * Math.max(...methods.map((name) => name.length + 1))), line = 26, height = methods.length * line + 34;
     let low = Math.min(...known), high = Math.max(...known);
     const pad = 0.04 * (high - low) || 0.5;
     [low, high] = [low - pad, high + pad];
@@ -54,7 +60,7 @@ novags.views = {
     if (long <= space) return;
     const half = Math.max(1, Math.floor((0.5 * whole.length * space) / long) - 1);
     label.textContent = `${whole.slice(0, half)}…${whole.slice(-half)}`;
-    label.append(Object.assign(novags.plots.svg("title", {}), { textContent: whole }));
+    label.append(Object.assign(this.svg("title", {}), { textContent: whole }));
   },
 };
 

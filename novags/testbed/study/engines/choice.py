@@ -18,6 +18,7 @@ from novags.testbed.study.engines.queue import Watcher
 from novags.testbed.study.engines.worker import Outcome
 from novags.testbed.study.entry import Order, Task
 from novags.testbed.study.plan import Plan
+from sensor_model.files import outside
 from sensor_model.files.atomic import write_text
 from sensor_model.files.door import read_text
 
@@ -168,6 +169,7 @@ class Nodes:
             resources=lambda key: resources(self.needs[work.plan.tasks[key].kind]),
             memory=lambda key: MARGIN * work.memory(key), seconds=work.seconds, order=work.longest.__getitem__,
             retries=self.retries, address=self.address,
+            environment=outside.environment(root for task in work.plan.tasks.values() for root in task.roots),
         )  # fmt: skip
         marker = None if self.url else _mark(work.store)
 

@@ -4,6 +4,7 @@ made here.
 
 import logging
 import os
+import pickle
 import signal
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -28,7 +29,7 @@ TELL_EVERY = 2.0  # s between two reports of a task
 
 @dataclass(frozen=True)
 class Terms:
-    """What jobs ask for.
+    """The resources that jobs ask for.
 
     Attributes:
         resources: Of a job by its key, as Ray calls them: CPU, GPU, and memory in bytes if the user said how much.
@@ -37,6 +38,7 @@ class Terms:
         order: Of the jobs that can start, the job with the largest number goes first.
         retries: Times that a job is tried again after its process or its node was lost.
         address: Of the cluster; None: `RAY_ADDRESS`, one that runs on this machine, or else one started here.
+        environment: Further variables of the process that does a job.
     """
 
     resources: Callable[[str], Mapping[str, float]]
@@ -45,6 +47,7 @@ class Terms:
     order: Callable[[str], float] = lambda key: 0.0
     retries: int = 3
     address: str | None = None
+    environment: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass
@@ -110,7 +113,8 @@ class Cluster:
             self._say_if_too_large(ray, asked)
             request = dict(self.request(key, self.queue.take(key)))
             log = request.pop("log")
-            environment = threads_environment(int(asked["CPU"]))
+            request["task"] = pickle.dumps(request["task"])  # the process of Ray knows no classes of plugins
+            environment = {**threads_environment(int(asked["CPU"])), **self.terms.environment}
             if not asked["GPU"]:
                 environment["CUDA_VISIBLE_DEVICES"] = ""  # Ray leaves all GPUs visible to tasks that ask for none
             task = ray.remote(on_node).options(

@@ -12,6 +12,7 @@ from typing import Any
 
 from novags.testbed.console.cores import cores_here
 from novags.testbed.console.memory import resident_bytes
+from sensor_model.files import outside
 from sensor_model.files.python import python
 
 TASKS = "novags.testbed.study.steps:make"  # the code of the workers of a study
@@ -51,9 +52,10 @@ class Worker:
     def start(place: str, environment: Mapping[str, str]) -> "Worker":
         """Start one that does jobs by the function MODULE:FUNCTION, which it loads meanwhile."""
         ours, theirs = Pipe()
+        variables = {**os.environ, **outside.environment(), **environment}
         process = subprocess.Popen(
             python(PROGRAM, str(theirs.fileno()), place), pass_fds=[theirs.fileno()],
-            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, env={**os.environ, **environment},
+            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, env=variables,
         )  # fmt: skip
         theirs.close()
         return Worker(process, ours, environment=environment)

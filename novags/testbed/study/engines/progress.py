@@ -3,8 +3,7 @@
 import time
 from collections.abc import Mapping
 
-from rich.console import Console as RichConsole
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+from rich.progress import TaskID
 
 from novags.testbed.console.terminal import Console, shown
 
@@ -22,24 +21,16 @@ class StudyProgress:
 
     def __init__(self, console: Console, runs: int) -> None:
         self.console, self.runs = console, runs
-        self.bars = self._bars() if console.live else None
+        self.bars = console.bars("<44.44", 24) if console.live else None
         self.lines: dict[str, TaskID] = {}
         self.last = 0.0
         if self.bars is not None:
             self.bars.start()
             self.all = self.bars.add_task("runs", total=runs, what="")
 
-    def _bars(self) -> Progress:
-        columns = (TextColumn("{task.description:<44.44}", markup=False), BarColumn(bar_width=24), MofNCompleteColumn())
-        shown = RichConsole(file=self.console.stream, highlight=False, soft_wrap=True)
-        return Progress(*columns, TimeElapsedColumn(), TextColumn("{task.fields[what]}", markup=False), console=shown)
-
     def note(self, text: str) -> None:
-        """Print a line."""
-        if self.bars is not None:
-            self.bars.console.print(shown(text), markup=False)
-        else:
-            self.console.note(text)
+        """Print a line, above the bars where there are some."""
+        self.console.note(text)
 
     def show(self, done: int, failed: int, under_way: Mapping[str, tuple[str, At]], left: float) -> None:
         """Show where the study is.

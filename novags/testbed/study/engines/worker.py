@@ -25,6 +25,7 @@ from typing import Any, NoReturn
 from novags.process import settle
 from novags.testbed.console.terminal import Console, Update
 from sensor_model.files.door import descriptor_of_our_own
+from sensor_model.files.outside import arrive
 from sensor_model.files.reading import brief
 from sensor_model.files.registry import loaded
 
@@ -89,13 +90,14 @@ def main() -> None:
     tasks: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     threading.Thread(target=_listen, args=(connection, tasks), daemon=True).start()
     try:
+        refused = arrive()  # before a task is unpacked, whose classes may be of a plugin
         connection.send(Outcome("ready"))
         # Until it has loaded, a signal to stop ends the process: an exception raised inside an import can be lost.
         with suppress(Exception):  # said with the first task, whose function it is
             function_at(place)
         signal.signal(signal.SIGTERM, _stop)
         while (request := pickle.loads(tasks.get())) is not None:
-            connection.send(_outcome(place, request, connection))
+            connection.send(Outcome("machine", refused) if refused else _outcome(place, request, connection))
     except (KeyboardInterrupt, BrokenPipeError):
         pass
     sys.stdout.flush()
@@ -135,9 +137,9 @@ def _outcome(place: str, request: Mapping[str, Any], connection: Connection) -> 
     except OSError as error:
         return Outcome("machine", f"cannot write the log {request['log']}: {error.strerror or error}")
     try:
-        work = function_at(place)
+        work, task = function_at(place), request["task"]
         signal.signal(signal.SIGTERM, _stop)  # a library may have taken it over
-        return Outcome("done", work(request["task"], console))
+        return Outcome("done", work(pickle.loads(task) if isinstance(task, bytes) else task, console))
     except BlockingIOError as error:
         return Outcome("busy", brief(error))
     except (KeyboardInterrupt, BrokenPipeError):

@@ -75,7 +75,7 @@ def test_a_picture_is_enhanced_once_for_all_who_ask_with_the_same_settings(monke
         calls.append(config)
         return enhance(dark, config, params, noise)
 
-    monkeypatch.setitem(enhancers.ENHANCERS, "guided", Enhancer(EnhanceConfig, counted, typical))
+    monkeypatch.setitem(enhancers.ENHANCERS, "guided", Enhancer(EnhanceConfig, counted, typical, title=""))
     inputs = problem()
     for _ in range(2):
         enhanced(inputs, CONFIG, "8bit")

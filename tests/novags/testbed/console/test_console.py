@@ -49,6 +49,21 @@ def test_bars_show_control_characters_escaped(monkeypatch: pytest.MonkeyPatch) -
     assert "[red]" in stream.getvalue()
 
 
+def test_what_is_said_during_a_study_leaves_its_bars_whole_and_last(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rationale: bars had a terminal of their own, and a note to the other one was printed into them."""
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "200")
+    stream = Terminal()
+    console = Console(stream=stream)
+    progress = StudyProgress(console, 5)
+    progress.show(1, 0, {"key": ("one place", ("fit", 3, 10, "l1 0.25"))}, 100.0)
+    console.warn("careful")
+    after = stream.getvalue().partition("note: careful")[2]
+    progress.close()
+    assert "runs" in after
+    assert "one place" in after
+
+
 def test_commands_show_control_characters_escaped(capsys: pytest.CaptureFixture[str]) -> None:
     say(f"{NAME}\n{NAME}")
     next_(NAME)

@@ -1,8 +1,5 @@
 """Claims about merging scores, recovered fractions, and the parts of a report."""
 
-import math
-import re
-import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterable
 from types import SimpleNamespace
 from typing import Any
@@ -13,8 +10,7 @@ import pytest
 from novags.methods.problem import encode
 from novags.testbed.folders.exposures import Exposures
 from novags.testbed.report.blocks.training import fits, smoothed
-from novags.testbed.report.charts import line_chart, log_ticks, ticks
-from novags.testbed.report.look.maps import ERROR_CEILING, depth_map, error_map
+from novags.testbed.report.look.maps import ERROR_CEILING, colour_map, depth_map, error_map
 from novags.testbed.report.tables import COLUMNS, ranked, scores_of
 from novags.testbed.report.words import duration, join, number, signed, size
 from novags.testbed.stages.scores import scoring
@@ -140,50 +136,10 @@ def test_depth_is_scored_in_the_scale_of_the_true_cameras(monkeypatch: pytest.Mo
     assert (found["abs_rel"], found["within_5_percent"]) == (0.0, 1.0)
 
 
-def test_a_chart_is_well_formed_and_draws_every_series() -> None:
-    svg = line_chart(
-        {"nova": [(10, 0.5), (20, 0.1)], "a<b": [(10, 0.4)]},
-        {"nova": "m0", "a<b": "m1"},
-        x_label="x",
-        y_label="y & z",
-        title="t",
-    )
-    root = ElementTree.fromstring(svg)
-    lines = [element for element in root.iter() if element.tag == "path"]
-    assert [line.get("class") for line in lines] == ["line dash0 m0", "line dash1 m1"]
-    for line in lines:
-        for point in re.split("[ML]", line.get("d") or "")[1:]:
-            x, y = map(float, point.split(","))
-            assert 0 <= x <= 640
-            assert 0 <= y <= 300
-
-
-def test_a_line_has_a_gap_where_a_value_is_not_positive() -> None:
-    points = [(10, 0.5), (20, 0.1), (20, math.nan), (30, 0.2), (40, 0.0), (50, 0.3), (60, 0.4)]
-    svg = line_chart({"a": points}, {"a": "m0"}, x_label="x", y_label="y", title="t")
-    (line,) = [element for element in ElementTree.fromstring(svg).iter() if element.tag == "path"]
-    assert re.sub(r"[\d.,]+", "p", line.get("d") or "") == "MpLpMpMpLp"
-
-
 def test_fits_of_one_run_stand_one_after_the_other() -> None:
     counted = [(10, 5.0), (20, 4.0), (10, 3.0), (10, 2.0), (40, 1.0)]
     assert fits(counted) == [[(10, 5.0), (20, 4.0)], [(30, 3.0)], [(40, 2.0), (70, 1.0)]]
     assert fits([]) == []
-
-
-@pytest.mark.parametrize(("low", "high"), [(-3.0, 1.0), (-1.2, -1.0), (0.0, 0.3), (-2.0, -1.99)])
-def test_logarithmic_ticks_lie_inside_and_are_neither_few_nor_many(low: float, high: float) -> None:
-    found = log_ticks(low, high)
-    assert 1 <= len(found) <= 8
-    assert all(10**low * 0.999 <= tick <= 10**high * 1.001 for tick in found)
-
-
-@pytest.mark.parametrize("largest", [1.0, 30.0, 999.0, 30_000.0])
-def test_linear_ticks_are_round_and_reach_the_end(largest: float) -> None:
-    found = ticks(0.0, largest)
-    assert 3 <= len(found) <= 7
-    assert found[0] == 0
-    assert 0.7 * largest <= found[-1] <= largest * (1 + 1e-9)
 
 
 def test_smoothing_keeps_the_mean_and_the_end() -> None:
@@ -192,6 +148,16 @@ def test_smoothing_keeps_the_mean_and_the_end() -> None:
     assert len(few) == 100
     assert few[-1][0] == 1000
     assert np.mean([y for _, y in few]) == pytest.approx(np.mean([y for _, y in points]))
+
+
+@pytest.mark.parametrize("name", ["magma", "viridis"])
+def test_colour_maps_are_those_of_matplotlib_in_every_8_bit_code(name: str) -> None:
+    """Rationale: pages made before must show the same colours."""
+    matplotlib = pytest.importorskip("matplotlib", reason="matplotlib is not installed (scripts/setup dev)")
+    values = np.append(np.linspace(-0.1, 1.1, 5000), np.arange(257) / 256).reshape(1, -1).astype(np.float32)
+    theirs = np.rint(255 * matplotlib.colormaps[name](np.clip(values, 0, 1))[..., :3])
+    assert np.array_equal(np.rint(255 * colour_map(values, name)), theirs)
+    assert len(np.unique(theirs.reshape(-1, 3), axis=0)) > 200
 
 
 def test_error_maps_are_black_where_right_and_bright_at_the_ceiling() -> None:

@@ -9,6 +9,7 @@ from xml.etree import ElementTree
 
 import pytest
 
+from novags.testbed.report.charts import DIAMOND, DISC
 from novags.testbed.report.curves import page
 from novags.testbed.report.curves.figure import figure
 from novags.testbed.report.curves.table import said, tables
@@ -18,6 +19,13 @@ from novags.testbed.study.knobs.knob import Knob, Measured, Subject
 CONTRACT = {"knob": str, "setting": (int, float, str, type(None)), "seconds": float, "error": float,
             "error_unit": str, "error_sd": float, "default": bool}  # fmt: skip
 SVG = "{http://www.w3.org/2000/svg}"
+
+
+def marks(root: ElementTree.Element) -> list[tuple[str, float, float, str]]:
+    """Class, place and shape of every mark."""
+    found = [(path.get("class", ""), re.match(r"M([\d.]+),([\d.]+)(.*)", path.get("d", "")))
+             for path in root.iter(f"{SVG}path")]  # fmt: skip
+    return [(kind, float(at[1]), float(at[2]), at[3]) for kind, at in found if at and kind.startswith("mark")]
 
 
 def test_every_line_keeps_the_contract_and_says_what_was_measured(made: Any, tmp_path: Path) -> None:
@@ -114,23 +122,21 @@ def test_no_curves_is_one_line_that_says_how_to_get_them(tmp_path: Path) -> None
 def test_the_figure_shows_every_point_with_its_bar_and_the_default_by_its_shape(made: Any, tmp_path: Path) -> None:
     points = made.curves(2)
     root = ElementTree.fromstring(figure(points, "a & b"))
-    assert len(root.findall(f".//{SVG}path")) == sum(point["default"] for point in points) == 3
-    assert len(root.findall(f".//{SVG}circle")) == 5
-    bars = [line for line in root.iter(f"{SVG}line") if line.get("class") == "bar"]
-    assert len(bars) == len(points)
-    # The panels' scales are logarithmic here: a bar reaches from error - sd to error + sd around its point.
-    heights = [float(bar.get("y2", "")) - float(bar.get("y1", "")) for bar in bars]
-    assert min(heights) > 0
+    assert [shape for *_, shape in marks(root)].count(DIAMOND) == sum(point["default"] for point in points) == 3
+    assert [shape for *_, shape in marks(root)].count(DISC) == 5
+    bars = [path.get("d", "") for path in root.iter(f"{SVG}path") if path.get("class", "").startswith("spread")]
+    ends = [[float(number) for number in re.findall("[0-9.]+", bar)[1:]] for bar in bars]
+    assert len(ends) == len(points)
+    assert all(high < y < low for (low, high), (_, _, y, _) in zip(ends, marks(root), strict=True))
     texts = [text.text for text in root.iter(f"{SVG}text")]
     assert {"1", "10", "100", "bb", "none", "22.8", "a & b", "error: codes"} <= set(texts)
-    marks = [mark for mark in (*root.iter(f"{SVG}circle"), *root.iter(f"{SVG}path"))]
-    assert sum("off" in str(mark.get("class")) for mark in marks) == sum(not point["front"] for point in points)
+    assert sum(kind.endswith(" off") for kind, *_ in marks(root)) == sum(not point["front"] for point in points)
 
 
 def test_a_longer_time_lies_further_right_and_a_larger_error_higher(made: Any, tmp_path: Path) -> None:
     points = [p for p in made.curves(1) if p["knob"] == "made.steps"]
     root = ElementTree.fromstring(figure([{**point, "default": False} for point in points], "t"))
-    at = [(float(c.get("cx", "")), float(c.get("cy", ""))) for c in root.iter(f"{SVG}circle")]
+    at = [(x, y) for _, x, y, _ in marks(root)]
     assert sorted(at, key=lambda p: p[0]) == sorted(at, key=lambda p: -p[1])[::-1]
     order = sorted(range(3), key=lambda i: points[i]["cpu_seconds"])
     assert [at[i][0] for i in order] == sorted(x for x, _ in at)

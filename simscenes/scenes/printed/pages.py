@@ -12,6 +12,7 @@ import numpy as np
 from simscenes.scenes import textures as t
 from simscenes.scenes.remembered import remembered
 
+FONT = Path(__file__).with_name("DejaVuSerif-Bold.ttf")  # LICENSE_DEJAVU beside it allows to pass it on
 MARGIN = 0.08  # of the sheet's width
 
 # Edward Lear (1871) and Lewis Carroll (1872); in the public domain.
@@ -41,11 +42,10 @@ NOTICES = (
 
 @functools.lru_cache
 def _face(size: int) -> Any:
-    """The serif type that comes with matplotlib, in this many pixels."""
-    import matplotlib
+    """The serif type in this many pixels."""
     from PIL import ImageFont
 
-    return ImageFont.truetype(str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSerif-Bold.ttf"), size)
+    return ImageFont.truetype(str(FONT), size)
 
 
 @remembered

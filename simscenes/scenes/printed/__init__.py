@@ -1,0 +1,1 @@
+"""Print, with the type that it is set in."""

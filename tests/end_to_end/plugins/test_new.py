@@ -1,0 +1,70 @@
+"""What `novags new` writes is what the pages show, and runs as it stands."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import get_args
+
+import pytest
+
+from novags.commands.new import TRIED, Kind, template
+from novags.testbed.study.cells.grid import read_study
+
+DOCS = Path(__file__).resolve().parents[3] / "docs"
+PAGES = {"method": "adding-a-method", "enhancer": "adding-an-enhancer", "camera": "adding-a-camera-source",
+         "scene": "adding-a-scene"}  # fmt: skip
+TINY = ("--views", "9", "--width", "24", "--height", "24", "--spp", "4", "--points", "60", "--iterations", "5")
+
+
+@pytest.mark.parametrize("kind", PAGES)
+def test_the_file_is_the_one_of_its_page_with_a_line_that_makes_it_a_plugin(kind: str) -> None:
+    page = (DOCS / f"{PAGES[kind]}.md").read_text(encoding="utf-8")
+    code = re.findall(r"```python\n(.*?)```", page, flags=re.S)[0]
+    assert re.fullmatch(re.escape(code) + r"\nPLUGIN = \{.*\}\n", template(kind))
+    assert f"novags new {kind} " in page
+
+
+def test_every_kind_has_a_file_and_says_how_it_is_tried() -> None:
+    assert set(get_args(Kind)) == {*PAGES, "study"} == TRIED.keys()
+
+
+def test_files_of_all_kinds_work_together(tmp_path: Path) -> None:
+    def novags(*words: str) -> str:
+        done = subprocess.run([sys.executable, "-m", "novags", *words], cwd=tmp_path, capture_output=True, text=True,
+                              env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)})  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        return done.stderr
+
+    for kind in get_args(Kind):
+        assert "next: novags " in novags("new", kind, f"my-{kind}")
+    plugins = [word for kind in PAGES for word in ("--plugin", f"my-{kind}.py")]
+    novags("run", *plugins, "--scene", "my-scene", "--methods", "my-method", "my-enhancer-gs", "--cameras",
+           "my-camera:step_deg=15", "--out", "out", *TINY)  # fmt: skip
+    for method, files in (("my-method", {"my-method.py", "my-camera.py"}),
+                          ("my-enhancer-gs", {"my-enhancer.py", "my-camera.py"})):  # fmt: skip
+        versions = json.loads((tmp_path / "out" / method / "run.json").read_text())["stage"]["versions"]
+        assert {name for name in versions if name.endswith(".py")} == files
+    assert len(read_study(tmp_path / "my-study.toml").cells) == 18
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("method", "../up"), "letters, digits and . _ + - alone, and begins with one of the first; got '../up'"),
+        (("method", "there"), "there.py is there already: choose another name, or move it"),
+    ],
+)
+def test_nothing_is_written_over_or_elsewhere(
+    words: tuple[str, ...], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: Callable[..., int],
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    Path("there.py").write_text("mine")
+    assert call("new", *words) == 2
+    assert said in capsys.readouterr().err
+    assert Path("there.py").read_text() == "mine"
+    assert [path.name for path in tmp_path.iterdir()] == ["there.py"]

@@ -1,0 +1,168 @@
+"""Charts: what is drawn lies where its value is, and is all there."""
+
+import html
+import json
+import math
+import re
+from typing import Any
+from xml.etree import ElementTree
+
+import pytest
+
+from novags.testbed.report.blocks.training import losses
+from novags.testbed.report.charts import MARKS, Axis, Chart, Point, Series, alone, log_ticks, ticks
+
+SVG = "{http://www.w3.org/2000/svg}"
+LINEAR, LOG = Axis("x", 0.0, 10.0), Axis("x", 0.0, 2.0, logarithmic=True)
+
+
+def drawn(*series: Series, x: Axis = LINEAR, y: Axis = LINEAR, **more: Any) -> str:
+    return Chart("t", x, y, series, **more).svg()
+
+
+def numbers(path: str | None) -> list[list[float]]:
+    """The points of a path of straight lines."""
+    return [[float(v) for v in point.split(",")] for point in re.split("[MLVHm]", path or "") if "," in point]
+
+
+def lines(svg: str) -> list[ElementTree.Element]:
+    found = [each for each in ElementTree.fromstring(svg).iter() if each.tag.removeprefix(SVG) == "path"]
+    return [each for each in found if (each.get("class") or "").startswith("line")]
+
+
+def test_a_chart_is_well_formed_and_draws_every_series_with_a_pattern_of_its_own() -> None:
+    svg = losses({"nova": [(10, 0.5), (20, 0.1)], "a<b": [(10, 0.4)]}, {"nova": "m0", "a<b": "m1"})
+    assert [line.get("class") for line in lines(svg)] == ["line dash0 m0", "line dash1 m1"]
+    points = [point for line in lines(svg) for point in numbers(line.get("d"))]
+    assert len(points) == 3
+    assert all(0 <= x <= 640 and 0 <= y <= 300 for x, y in points)
+
+
+@pytest.mark.parametrize("logarithmic", [False, True])
+def test_equal_steps_or_factors_are_equal_distances_and_more_lies_right_and_up(logarithmic: bool) -> None:
+    values = (1.0, 10.0, 100.0) if logarithmic else (0.0, 5.0, 10.0)
+    axis = LOG if logarithmic else LINEAR
+    points = [Point(value, value, low=value, high=values[-1]) for value in values]
+    svg = drawn(Series("n", "m0", points, mark=MARKS[0]), x=axis, y=axis)
+    (x0, y0), (x1, y1), (x2, y2) = numbers(lines(svg)[0].get("d"))
+    assert x1 - x0 == pytest.approx(x2 - x1, abs=0.11)
+    assert y0 - y1 == pytest.approx(y1 - y2, abs=0.11)
+    assert x0 < x1
+    assert y0 > y1
+    bars, marks = (re.findall(rf'class="{kind} [^"]*" d="([^"]*)"', svg) for kind in ("spread", "mark"))
+    assert [numbers(mark)[0] for mark in marks] == [[x0, y0], [x1, y1], [x2, y2]]
+    assert bars == [f"M{x0},{y0}V{y2}M{x1},{y1}V{y2}"]  # none where a bar has no length
+
+
+def test_numbers_at_the_axes_stand_where_their_values_are() -> None:
+    svg = drawn(Series("n", "m0", [Point(5.0, 4.0)], mark=MARKS[0]))
+    (x, y), *_ = numbers(re.findall('class="mark m0" d="([^"]*)"', svg)[0])
+    told = re.findall(r'class="tick" x="([\d.]+)" y="([\d.]+)" text-anchor="(\w+)">([^<]*)<', svg)
+    up = {text: float(b) for _, b, anchor, text in told if anchor == "end"}
+    across = {text: float(a) for a, _, anchor, text in told if anchor == "middle"}
+    assert list(up) == list(across) == ["0", "2", "4", "6", "8", "10"]
+    assert up["4"] == y + 4  # under whose middle a letter's foot is
+    assert (across["4"] + across["6"]) / 2 == pytest.approx(x, abs=0.11)
+
+
+def test_a_line_has_a_gap_where_a_logarithm_has_no_value_and_such_points_are_not_told() -> None:
+    points = [(10, 0.5), (20, 0.1), (20, math.nan), (30, 0.2), (40, 0.0), (50, 0.3), (60, 0.4)]
+    svg = losses({"a": points}, {"a": "m0"})
+    assert re.sub(r"[\d.,]+", "p", lines(svg)[0].get("d") or "") == "MpLpMpMpLp"
+    plot = json.loads(html.unescape(re.findall('data-plot="([^"]*)"', svg)[0]))
+    assert [text for *_, text in plot["lines"][0]["points"]] == ["0.5", "0.1", "0.2", "0.3", "0.4"]
+
+
+def test_losses_next_to_nothing_have_an_axis() -> None:
+    """Rationale: ticks were rounded to twelve decimals, and the logarithm of the 0 that was left ended the report."""
+    svg = losses({"a": [(1, 3e-14), (2, 1e-15)]}, {"a": "m0"})
+    assert {"1e-15", "1e-14"} <= set(re.findall(r'class="tick"[^>]*>([^<]*)<', svg))
+
+
+def test_bins_are_steps_between_their_edges() -> None:
+    svg = drawn(Series("n", "m0", [Point(1.0, 10.0), Point(6.0, 5.0)], edges=(0.0, 2.0, 10.0)))
+    left, right = Chart("t", LINEAR, LINEAR, ()).at(0.0, 10.0), Chart("t", LINEAR, LINEAR, ()).at(10.0, 5.0)
+    end = Chart("t", LINEAR, LINEAR, ()).at(2.0, 0.0)
+    assert lines(svg)[0].get("d") == (
+        f"M{left[0]:.1f},{end[1]}V{left[1]:.1f}H{end[0]:.1f}V{right[1]:.1f}H{right[0]:.1f}"
+    )
+
+
+def test_a_ring_lies_on_its_line_and_beyond_it_at_the_end() -> None:
+    points = [Point(1.0, 2.0), Point(100.0, 8.0)]
+    for x, y in ((10.0, 5.0), (1.0, 2.0), (0.1, 2.0)):
+        svg = drawn(Series("n", "m0", points, ring=(x, "breaks <here>")), x=LOG)
+        ring = re.search(r'<circle class="line m0" cx="([\d.]+)" cy="([\d.]+)"', svg)
+        assert ring is not None
+        wanted = Chart("t", LOG, LINEAR, ()).at(x, y)
+        assert (float(ring[1]), float(ring[2])) == pytest.approx(wanted, abs=0.11)
+    assert "<title>breaks &lt;here&gt;</title>" in svg
+
+
+def test_every_series_of_many_is_in_the_legend() -> None:
+    """Rationale: the edge of the picture cut all after the fifteenth."""
+    svg = drawn(*(Series(f"n{k}", f"m{k}", [Point(1.0, 2.0)]) for k in range(27)), legend=True, width=720)
+    height = int(re.findall(r'viewBox="0 0 720 (\d+)"', svg)[0])
+    places = [float(y) for y in re.findall(r'class="name" x="[\d.]+" y="([\d.]+)"', svg)]
+    assert len(places) == 27
+    assert max(places) < height
+
+
+def test_long_names_in_a_legend_keep_both_ends() -> None:
+    """Rationale: the edge of the picture cut them, and variants often differ at their ends."""
+    names = ["nova-fast", "nova-plus-without-averages", "nova-plus-without-denoiser"]
+    svg = drawn(*(Series(name, "m0", [Point(1.0, 2.0)]) for name in names), legend=True)
+    shown = re.findall(r'<text class="name"[^>]*><title>([^<]*)</title>([^<]*)</text>', svg)
+    assert shown == list(zip(names, ["nova-fast", "nova-plu…averages", "nova-plu…denoiser"], strict=True))
+
+
+def test_a_file_of_its_own_has_size_and_colours_and_needs_no_page() -> None:
+    svg = alone(drawn(Series("n", "m7", [Point(1.0, 2.0)])), {"m7": "#123456"})
+    root = ElementTree.fromstring(svg)
+    assert (root.get("width"), root.get("height"), root.get("data-plot")) == ("640", "300", None)
+    style = root.findtext(f"{SVG}style") or ""
+    assert ".m7 { color: #123456; }" in style
+    assert "stroke: currentColor" in style
+    assert "var(" not in style
+
+
+@pytest.mark.parametrize("log", [False, True])
+@pytest.mark.parametrize("values", [[3.0], [0.02, 0.020001], [1e-30, 1e20]])
+def test_an_axis_around_values_holds_them_with_room(values: list[float], log: bool) -> None:
+    axis = Axis.around("x", values, log=log)
+    shares = [axis.share(value) for value in values]
+    assert 0 < min(shares) <= max(shares) < 1
+    assert len(list(axis.written(300, across=False))) >= 2
+
+
+@pytest.mark.parametrize("values", [[0.0], [0.0, 1.0], [5.0, 5.1]])
+def test_what_is_never_negative_has_no_number_below_zero(values: list[float]) -> None:
+    assert min(ticks((axis := Axis.around("x", values)).low, axis.high)) >= 0
+
+
+def test_an_axis_of_nothing_and_a_logarithm_of_nothing_are_refused() -> None:
+    with pytest.raises(ValueError, match="a chart needs light, got nothing"):
+        Axis.around("light", [])
+    with pytest.raises(ValueError, match="a chart needs light > 0, got 0"):
+        Axis.around("light", [1.0, 0.0], log=True)
+
+
+def test_numbers_beside_each_other_have_room() -> None:
+    """Rationale: numbers of four digits touched on telephones, whose letters are larger."""
+    axis = Axis.around("x", [1.0, 1000.0], log=True, ticks=[1, 1.25, 2, 400, 800, 1000])
+    assert [text for _, text in axis.written(300, across=True)] == ["1", "2", "400"]
+
+
+@pytest.mark.parametrize(("low", "high"), [(-3.0, 1.0), (-1.2, -1.0), (0.0, 0.3), (-2.0, -1.99), (-45.0, 3.0)])
+def test_logarithmic_ticks_lie_inside_and_are_neither_few_nor_many(low: float, high: float) -> None:
+    found = log_ticks(low, high)
+    assert 3 <= len(found) <= 8
+    assert all(10**low * 0.999 <= tick <= 10**high * 1.001 for tick in found)
+
+
+@pytest.mark.parametrize("largest", [1e-14, 1.0, 30.0, 999.0, 30_000.0])
+def test_linear_ticks_are_round_and_reach_the_end(largest: float) -> None:
+    found = ticks(0.0, largest)
+    assert 3 <= len(found) <= 7
+    assert found[0] == 0
+    assert 0.7 * largest <= found[-1] <= largest * (1 + 1e-9)
