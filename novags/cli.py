@@ -68,7 +68,7 @@ def main() -> None:
 
 @NUMBERS.primitive_rule
 def _number(info: tyro.constructors.PrimitiveTypeInfo) -> tyro.constructors.PrimitiveConstructorSpec[Any] | None:
-    """How tyro reads numbers: those that are refused are said in one line where the option's name is known."""
+    """How tyro reads numbers: refused ones are named in one line where the option's name is known."""
     kind = info.type
     if kind not in (int, float):
         return None

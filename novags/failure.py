@@ -24,9 +24,9 @@ INTERRUPTED = "interrupted; the same command again continues where this one stop
 def errors_in_one_line() -> Iterator[None]:
     """Around a command.
 
-    Wrong input gives one line on standard error and exit code 2; what the system refuses, and what novags did not
-    expect, one line and 1. NOVAGS_TRACEBACK=1 shows the whole traceback instead. A command whose output
-    nobody reads any more, as in `novags list | head -1`, says nothing and ends with 141, as SIGPIPE would end it.
+    Wrong input gives one line on standard error and exit code 2; a refusal of the system, or an error that novags did
+    not expect, one line and 1. NOVAGS_TRACEBACK=1 shows the whole traceback instead. A command whose output nobody
+    reads any more, as in `novags list | head -1`, says nothing and ends with 141, as SIGPIPE would end it.
     """
     try:
         _check_words(sys.argv[1:])
@@ -84,12 +84,12 @@ def _end_if_nobody_reads() -> None:
     poll = select.poll()
     poll.register(output, 0)
     if any(event & select.POLLERR for _, event in poll.poll(0)):
-        os.dup2(os.open(os.devnull, os.O_WRONLY), output)  # else Python complains of what is still to be written
+        os.dup2(os.open(os.devnull, os.O_WRONLY), output)  # else Python complains of unwritten text
         sys.exit(128 + signal.SIGPIPE)
 
 
 def explained(error: BaseException) -> str:
-    """What happened, the file it was about and what to do; the traceback goes to a file."""
+    """The error, the file it was about and a remedy; the traceback goes to a file."""
     about = file_of(error)
     where = f" (at {about})" if about else ""
     said = _brief(error, 300)
@@ -123,8 +123,8 @@ def _report(error: BaseException) -> str:
 def _check_words(words: list[str]) -> None:
     """Refuse paths that are not UTF-8 before any work: the libraries that write images cannot open them.
 
-    So are words that a terminal would obey when they are shown: control characters, and those that turn the direction
-    of writing.
+    So are words that a terminal would obey when they are shown: control characters, and characters that turn the
+    direction of writing.
     """
     for word in words:
         if any(ord(c) < 32 or 127 <= ord(c) < 160 or c in TURNING for c in word):

@@ -1,4 +1,4 @@
-"""Numbers that people write, in a command line or a file: what is refused of each, whatever it stands for."""
+"""Numbers that people write, in a command line or a file: values that are refused, whatever they stand for."""
 
 import math
 from typing import Any
@@ -10,7 +10,7 @@ FLOAT = 3.4e38  # and others below this, the largest of 32 bits: pictures and sc
 KINDS: dict[Any, str] = {int: "a whole number", float: "a number"}
 
 
-# The most of what is counted: far above what anybody has, far below what exhausts a machine before it is looked at.
+# The largest count: far above any use, far below a count that exhausts a machine before it is looked at.
 VIEWS, SIDE, PIXELS = 100_000, 65_536, 2**29  # pixels: of a picture, as many as one is read with
 STEPS, SAMPLES, POINTS = 10**9, 2**24, 10**8
 SETTING = 2**31  # of any other setting: kernels count in 32 bits

@@ -73,7 +73,7 @@ class ClusterOptions:
     retries: int = 3
     """Times that a task is tried again after its process or its node was lost."""
     scratch: str | None = None
-    """Folder on each node for what it fetches from a store at a URL; in its folder for temporary files if not given."""
+    """Folder on each node for files fetched from a store at a URL; in its folder for temporary files if not given."""
 
 
 Cluster = Annotated[ClusterOptions, tyro.conf.arg(name=""), tyro.conf.OmitArgPrefixes]

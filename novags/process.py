@@ -20,7 +20,7 @@ ENVIRONMENT = {
 }  # read by these libraries when they are loaded or first used
 # Each iteration of a fit frees its arrays, and the next one asks for the same again. glibc returns them to the system
 # in between, which hands them out again page by page and filled with zeros: a third of the time of a fit whose loss is
-# torch's. What is freed is kept instead, in blocks of up to the first of these sizes, up to the second in all.
+# torch's. Freed memory is kept instead, in blocks of up to the first of these sizes, up to the second in all.
 KEPT = (("MMAP", -3, 256 << 20), ("TRIM", -1, 1 << 30))  # numbers as in malloc.h
 
 
@@ -28,7 +28,7 @@ def settle() -> None:
     """Set what the user has not set himself. Must be called before torch is imported, to have its whole effect."""
     for name, value in ENVIRONMENT.items():
         os.environ.setdefault(name, value)
-    with suppress(AttributeError, OSError, TypeError):  # other C libraries have no mallopt, and keep what they like
+    with suppress(AttributeError, OSError, TypeError):  # other C libraries have no mallopt, keeping memory as they like
         mallopt = ctypes.CDLL(None).mallopt
         for name, number, size in KEPT:
             if f"MALLOC_{name}_THRESHOLD_" not in os.environ:  # else the user's own choice holds

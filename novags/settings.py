@@ -60,7 +60,7 @@ def starting_at(folder: Path, settings: Mapping[str, Any], config: Any) -> dict[
     """Settings with files by their whole path, as text; relative ones start at a folder.
 
     Args:
-        folder: That of the file in which the settings stand.
+        folder: The folder of the file in which the settings stand.
         settings: By dotted name.
         config: The configuration that they make.
     """

@@ -4,7 +4,7 @@
         PSNR of the demo against a rotation error of its cameras, 0 to 4 degrees, with and without refinement
     python scripts/bench_cameras.py registered --set SET --out FILE.json
         the share of views that structure from motion registers, and how right they are, at 2 to 1000 electrons, on the
-        dark pictures as they are, enhanced, and enhanced and denoised, by both mappers
+        dark pictures raw, enhanced, and enhanced and denoised, by both mappers
 
 SET is a folder that `novags render` wrote. Results are kept in FILE.json row by row: the same command continues.
 """
@@ -53,7 +53,7 @@ def denoised(enhanced: Tensor, steps: int, seed: int) -> Tensor:
 
 
 def measure(pictures: Tensor, dark: Tensor, true: np.ndarray, Ks: np.ndarray, mapper: str, seed: int) -> dict[str, Any]:
-    """Share of the views that register and that are right, and the median rotation error of those that register."""
+    """Share of the views that register and that are right, and the median rotation error of the registered ones."""
     from novags.cameras.align import align
     from novags.cameras.motion.sfm import structure_from_motion
     from novags.cameras.sources.sfm import SfmConfig
@@ -65,7 +65,7 @@ def measure(pictures: Tensor, dark: Tensor, true: np.ndarray, Ks: np.ndarray, ma
         config = SfmConfig(mapper=mapper)
         found = structure_from_motion(codes, Ks, dark, n_points=1000, config=config, seed=seed)
         aligned = align(found.viewmats, torch.tensor(true)[list(found.registered)])
-    except ValueError as error:  # too few views: it is what is measured
+    except ValueError as error:  # too few views, which is a measurement too
         return row | {"seconds": time.perf_counter() - start, "error": str(error)}
     return {
         "registered": len(found.registered) / len(true),
@@ -77,7 +77,7 @@ def measure(pictures: Tensor, dark: Tensor, true: np.ndarray, Ks: np.ndarray, ma
 
 
 def registered(options: argparse.Namespace) -> None:
-    """Measure what is missing, print the table."""
+    """Make missing measurements, print the table."""
     from novags.methods.enhancers.guided import enhance
     from simscenes import load_set
 
@@ -171,7 +171,7 @@ def main() -> None:
     command.add_argument("--out", type=Path, required=True)
     command.add_argument("--method", default="naive-l1")
     command.add_argument("--degrees", type=float, nargs="+", default=[0.0, 0.5, 1.0, 2.0, 4.0])
-    command.add_argument("--iterations", type=int, help="of the fit; those of the demo if not given")
+    command.add_argument("--iterations", type=int, help="of the fit; the demo's if not given")
     command.set_defaults(run=errors)
     options = parser.parse_args()
     options.run(options)

@@ -7,8 +7,8 @@
     python scripts/bench_demo.py --out DIR --scenes tabletop:1 --seeds 0 --iterations 1200 2000 2400
         what longer training brings
 
-Every run is `novags run` in a process of its own; what is done already is kept, and so are all reports. Prints one
-Markdown table a scene and number of iterations: means over seeds and test views, with the aligned PSNR of each seed.
+Every run is `novags run` in a process of its own; finished work is kept, and so are all reports. Prints one Markdown
+table a scene and number of iterations: means over seeds and test views, with the aligned PSNR of each seed.
 """
 
 import argparse
@@ -83,7 +83,7 @@ def table(runs: list[dict[str, Any]], methods: list[str]) -> str:
 
 
 def main() -> None:
-    """Run what is missing, print the tables."""
+    """Do missing runs, print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=Path("bench_demo"))
     parser.add_argument("--scenes", nargs="+", default=["tabletop"])

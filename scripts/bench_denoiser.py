@@ -39,7 +39,7 @@ EXPOSURE = Exposure(time=1 / 30)
 
 
 class Pictures:
-    """Some views of a set, photographed: what a method sees, and what is true."""
+    """Some views of a set, photographed: the pictures that a method sees, and the truth."""
 
     def __init__(self, folder: Path, sensor: Sensor, electrons: float, views: int, seed: int) -> None:
         source = load_set(folder)

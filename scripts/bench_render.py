@@ -10,13 +10,13 @@ compare whole jobs: `render_set` to a target error, everything included (reading
 geometry, writing), and what `mi.render` needs with an independent and with a multijittered sampler, depth 8 and
 roulette from 5, for the same error in every view, reading the scene included. All errors are measured: of ours against
 a render of --reference-spp samples by another seed, whose own variance is subtracted, of the others from the spread
-between seeds. Their time is scaled from what --plain-spp samples take: exactly, since their noise falls as one over the
-root of the samples; that of multijittered ones falls faster, so that they are rendered once more, with about the
-samples that were found to be needed, and scaled from there (see "needed_spp"). Kernels are compiled beforehand for all.
-With --predict: the time that `render_set` predicted, and what it took, once with a number of samples and once towards
-the target error. With --starts, and nothing else: the same job with roulette from each of these path lengths, twice
-each, in turn. With --fresh, and nothing else: what `novags render` takes for these scenes in a new process, stage by
-stage, on a machine that has never seen the scene, so that every kernel has to be compiled, and once more when the
+between seeds. Their time is scaled from the time of --plain-spp samples: exactly, since their noise falls as one over
+the root of the samples; the noise of multijittered ones falls faster, so that they are rendered once more, with about
+the samples that were found to be needed, and scaled from there (see "needed_spp"). Kernels are compiled beforehand for
+all. With --predict: the time that `render_set` predicted, and the time it took, once with a number of samples and once
+towards the target error. With --starts, and nothing else: the same job with roulette from each of these path lengths,
+twice each, in turn. With --fresh, and nothing else: what `novags render` takes for these scenes in a new process, stage
+by stage, on a machine that has never seen the scene, so that every kernel has to be compiled, and once more when the
 kernels are kept.
 """
 

@@ -22,7 +22,7 @@ from novags.testbed.report.page import write_study
 
 
 def repeated(study: Path, out: Path, runs: int) -> None:
-    """Write the tables of a study whose finished runs are those of `study` again and again."""
+    """Write the tables of a study whose finished runs repeat the runs of `study` again and again."""
     results = json.loads((study / "results.json").read_text())
     done = [row for row in results["rows"] if row["state"] == "done"]
     rows: list[dict[str, Any]] = []

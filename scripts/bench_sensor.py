@@ -115,7 +115,7 @@ def bench_effects(shape: tuple[int, int], repeats: int) -> None:
     sensors = {"plain chain": PLAIN} | {name: replace(PLAIN, **fields) for name, fields in EFFECTS.items()}
     calls = [lambda s=s: expose(light, s, EXPOSURE, seed=1, view=0) for s in sensors.values()]
     times = fastest(calls, repeats)
-    print("\neach effect on its own, 20 e-: whole chain with it, Mpx/s, and what it adds, ns/px")
+    print("\neach effect on its own, 20 e-: whole chain with it, Mpx/s, and its share, ns/px")
     for name, t in zip(sensors, times, strict=True):
         print(f"{name:>16} {light.size / 1e6 / t:8.1f} {(t - times[0]) / light.size * 1e9:8.2f}")
 

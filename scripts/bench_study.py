@@ -12,7 +12,7 @@ rendered before, because a render takes all cores in any case and says nothing a
 
 Prints JSON: seconds on the clock and of the processors for each, the least of the rounds; how much more processor time
 the study takes with one worker than the bare stages (`beyond`), and with two, whose runs wait for each other's memory
-(`beyond_two`); the time of two on the clock as a share of that of the bare stages (`share`; `shares` of the rounds).
+(`beyond_two`); the time of two on the clock as a share of the bare stages' (`share`; `shares` of the rounds).
 `per_task` is the processor time that each further task costs the bed, from many empty ones: the differences above are
 mostly those between two runs of the same work on a machine that is not alone.
 """
@@ -117,7 +117,7 @@ def empty(folder: Path, count: int) -> float:
 
 
 class Mute:
-    """Hears of tasks, and objects to those that fail."""
+    """Hears of tasks, and objects to failing ones."""
 
     def ended(self, key: str, outcome: Outcome) -> None:
         """A task has ended."""

@@ -1,4 +1,4 @@
-"""Run the commands that the pages in docs/ show, and write what they print into the pages.
+"""Run the commands that the pages in docs/ show, and write their output into the pages.
 
     python scripts/make_docs.py [PAGE ...] [--cheap]      (all pages, if none is named)
 
@@ -98,7 +98,7 @@ def shortened(text: str, first: int | None) -> str:
 
 
 def with_outputs(page: str, folder: Path, failed: list[str] | None = None, *, cheap_only: bool = False) -> str:
-    """A page with its blocks run in `folder`; one that fails stays as it is, and joins `failed` if that is given."""
+    """A page with its blocks run in `folder`; one that fails does not change, and joins `failed` if that is given."""
 
     def run(found: re.Match[str]) -> str:
         wishes = Wishes.of(found["wishes"])

@@ -3,7 +3,7 @@
     python scripts/make_gallery.py [--spp 256] [--work DIR]
 
 One view of each scene, exposed by a real camera and brightened to the same exposure at every level. With --work the
-renders are kept there (those of make_scene_thumbnails.py serve both).
+renders are kept there (renders of make_scene_thumbnails.py serve both).
 """
 
 import argparse

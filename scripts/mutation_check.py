@@ -3,8 +3,8 @@
     python scripts/mutation_check.py --count 240
 
 A mistake that no test fails on survived: either a test is missing, or the mistake changes nothing that a user could
-see; those are excused, with the reason, in `mutation/excused.toml`. Every group of tests runs once on the sources as
-they are, to learn how long each test takes and which lines it reaches. Verdicts are kept in the folder `--out` and
+see; those are excused, with the reason, in `mutation/excused.toml`. Every group of tests runs once on the unchanged
+sources, to learn how long each test takes and which lines it reaches. Verdicts are kept in the folder `--out` and
 reused as long as they hold: see `mutation/record.py`.
 """
 
@@ -105,7 +105,7 @@ def chosen(only: str, count: int, seed: int) -> dict[str, list[Mutant]]:
 
 
 def reach(sources: list[str], tests: list[str], out: Path) -> dict[str, Any]:
-    """What every test reaches and how long it takes, from one run of each test file on the sources as they are."""
+    """What every test reaches and how long it takes, from one run of each test file on the unchanged sources."""
     texts = [(ROOT / name).read_text(encoding="utf-8") for name in sources]
     known: dict[str, Any] = {"seconds": {}, "lines": {}}
     for test in tests:

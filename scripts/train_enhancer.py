@@ -59,7 +59,7 @@ def arguments() -> argparse.Namespace:
 
 
 def loss_of(network: torch.nn.Module, pairs: BrightPairs, *, kind: Kind, config: object) -> Tensor:
-    """L1 and half of 1 - SSIM; what is above white counts as well, so that it has a slope."""
+    """L1 and half of 1 - SSIM; light above white counts as well, so that it has a slope."""
     found = kind.run(network, pairs.dark, config)
     alike = torch.stack([ssim(a.movedim(0, -1), b.movedim(0, -1)) for a, b in zip(found, pairs.bright, strict=True)])
     return F.l1_loss(found, pairs.bright) + 0.5 * (1 - alike.mean())

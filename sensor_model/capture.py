@@ -31,7 +31,7 @@ class RawFrame:
     dn: NDArray[np.uint16]  # [h, w] or [h, w, 3]
     saturated: NDArray[np.bool_]  # this exposure reached the full well or the top of the ADC here
     photons: NDArray  # the light that was exposed
-    sensor: Sensor  # as simulated: without what the plan left out
+    sensor: Sensor  # as simulated: without effects that the plan left out
     exposure: Exposure
     shot: Shot = "poisson"
 
@@ -55,12 +55,12 @@ class RawFrame:
 
     @cached_property
     def clean_dn(self) -> NDArray[np.float32]:
-        """What the same light gives without noise and without fixed pattern; saturates, is not rounded. DN."""
+        """The response to the same light without noise and fixed pattern; saturates, is not rounded. DN."""
         return clean_response(self.photons, self.sensor, self.exposure)
 
 
 def clean_response(photons: ArrayLike, sensor: Sensor, exposure: Exposure) -> NDArray[np.float32]:
-    """What light gives without noise, without fixed pattern and without rounding; it saturates.
+    """The mean response to light, without noise, fixed pattern and rounding; it saturates.
 
     Args:
         photons: As for `expose`; [h, w, 3] needs a sensor without colour filter array.

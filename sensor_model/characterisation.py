@@ -16,10 +16,10 @@ from sensor_model.params import Defects, Sensor, require
 
 Array = NDArray[np.float64]
 QUANTISATION = 1 / 12  # DN**2
-UNDERFLOW = 0.005  # of the dark pixels that may be 0: more, and what is left of their noise is no longer the camera's
-HOT = 6  # standard deviations, robust ones of all pixels and those of its own noise, beyond which a pixel is hot
-COLD = 1e-6  # least dark current of the others, as a share of that of hot pixels, which is stated as a multiple of it
-CROOKED = 0.2  # linearity error beyond which the stated light, and not the camera, must be what is wrong
+UNDERFLOW = 0.005  # of the dark pixels that may be 0: more, and clipping hides the camera's noise
+HOT = 6  # standard deviations (robust ones over all pixels, and of the pixel's own noise) beyond which a pixel is hot
+COLD = 1e-6  # least dark current of normal pixels, as a share of the hot ones', which is stated as a multiple of it
+CROOKED = 0.2  # linearity error beyond which the stated light must be wrong, and not the camera
 UNITS = {"gain": "DN/e-", "black_level": "DN", "dark_current": "e-/s"} | dict.fromkeys(
     ("sigma_d", "sigma_row", "sigma_column", "dsnu", "mu_e_sat"), "e-"
 )
@@ -43,7 +43,7 @@ class Stack:
 
 @dataclass(frozen=True, kw_only=True)
 class Characterisation:
-    """What the frames say about their camera; symbols as in `Sensor`."""
+    """The parameters of a camera from its frames; symbols as in `Sensor`."""
 
     gain: float  # DN/e-
     eta: float | None  # None without photon numbers
@@ -55,7 +55,7 @@ class Characterisation:
     dsnu: float  # e-, of these
     prnu: float
     hot_fraction: float  # of the pixels
-    hot_factor: float  # their mean dark current over that of the others
+    hot_factor: float  # their mean dark current over the other pixels'
     mu_e_sat: float | None  # e-; None if no stack saturates
     nonlinearity: float  # relative loss of response at the largest signal seen (full well), from a parabola
     linearity_error: float  # largest deviation from the straight line between 5 % and 95 % of saturation, relative
@@ -66,7 +66,9 @@ class Characterisation:
         return "\n".join(f"{name:>16} {value:.5g} {UNITS.get(name, '')}".rstrip() for name, value in known.items())
 
     def sensor(self, *, bits: int, **assumed: object) -> Sensor:
-        """A camera with these parameters; `assumed` adds what frames cannot show, and overrides what they do."""
+        """A camera with these parameters; `assumed` adds parameters that frames cannot show, and overrides measured
+        ones.
+        """
         names = ("gain", "eta", "sigma_d", "sigma_row", "sigma_column", "black_level", "dark_current", "dsnu", "prnu")
         measured = {name: getattr(self, name) for name in (*names, "mu_e_sat")}
         if self.mu_e_sat is not None:  # the non-linearity is relative to it
@@ -74,7 +76,7 @@ class Characterisation:
         if self.hot_fraction > 0:
             measured["defects"] = Defects(hot_fraction=self.hot_fraction, hot_factor=self.hot_factor)
         values = {"bits": bits, "cfa": None} | measured | assumed
-        if "nonlinearity" in measured and "nonlinearity" not in assumed:  # the bend per electron is what was measured
+        if "nonlinearity" in measured and "nonlinearity" not in assumed:  # measured was the bend per electron
             values["nonlinearity"] = self.nonlinearity * values["mu_e_sat"] / self.mu_e_sat
         for name in ("eta", "mu_e_sat"):
             require(values[name] is not None, name, "known", None, f"measure it, or pass {name}=")
@@ -122,7 +124,7 @@ def characterise(dark: Sequence[Stack], flat: Sequence[Stack]) -> Characterisati
     light = photons if known else time
     bend, error = _linearity(light, signal, peak)
     told = "the stated photons" if known else "the exposure times"
-    remedy = "" if known else "; or keep the lamp as it is and vary the time, or state the photons of every stack"
+    remedy = "" if known else "; or leave the lamp alone and vary the time, or state the photons of every stack"
     require(error <= CROOKED, f"the relative error of a straight line through flat signals over {told}",
             f"at most {CROOKED}", round(error, 3), f"correct them{remedy}")  # fmt: skip
     straight, slope = _straightened(signal, bend)
@@ -149,7 +151,7 @@ def characterise(dark: Sequence[Stack], flat: Sequence[Stack]) -> Characterisati
 
 
 def _check(dark: Sequence[Stack], flat: Sequence[Stack]) -> None:
-    """Refuse what no camera can be estimated from."""
+    """Refuse frames that no camera can be estimated from."""
     require(len({s.time for s in dark}) >= 2, "dark", "stacks at two exposure times or more", len(dark))
     require(len(flat) >= 3, "flat", "three stacks or more", len(flat))
     shapes = {np.shape(s.frames)[1:] for s in (*dark, *flat)}
@@ -165,7 +167,7 @@ def _proportional(x: Array, y: Array) -> float:
 
 
 def _straightened(signal: Array, bend: float) -> tuple[Array, Array]:
-    """What a linear camera would have shown instead of x - bend x**2, and the slope of the bend there. DN.
+    """The signal of a linear camera instead of x - bend x**2, and the slope of the bend there. DN.
 
     Shot noise is proportional to that signal and shrinks by that slope; a photon transfer curve of the bent signal
     alone would read the gain of a camera with 2 % of non-linearity 3 % too low.
@@ -183,8 +185,8 @@ def _average(stack: Stack) -> Array:
 
 
 def _squares(stack: Stack) -> Iterator[Array]:
-    """Of each frame the squared temporal deviation of every pixel, [h, w], without what all pixels of a frame share,
-    such as the flicker of a lamp (EMVA 1288, section 6).
+    """Of each frame the squared temporal deviation of every pixel, [h, w], without the changes that all pixels of a
+    frame share, such as the flicker of a lamp (EMVA 1288, section 6).
     """
     average = _average(stack)
     pattern = average - average.mean()
@@ -247,7 +249,7 @@ def _linearity(light: Array, signal: Array, peak: float) -> tuple[float, float]:
 def _noise_parts(stacks: Sequence[Stack], at_zero_time: float) -> tuple[float, float, float]:
     """Temporal variance of rows, of columns and of single pixels in the dark, DN**2.
 
-    Row means vary by the row noise and by what averaging leaves of the pixel noise; the difference of two frames is
+    Row means vary by the row noise and by the pixel noise that remains after averaging; the difference of two frames is
     free of the fixed pattern.
     """
     rows, columns = [], []
@@ -265,11 +267,11 @@ def _noise_parts(stacks: Sequence[Stack], at_zero_time: float) -> tuple[float, f
 
 
 def _hot_pixels(dark: Sequence[Stack]) -> tuple[NDArray[np.bool_], float]:
-    """Pixels whose signal grows much faster in the dark than that of others, [h, w], and by how much, DN/s.
+    """Pixels whose signal grows much faster in the dark than other pixels', [h, w], and by how much, DN/s.
 
     Heavy tails of the read noise and telegraph pixels reach as far by chance, but with as much noise of their own.
     """
-    # Shortest and longest time; of several stacks of one time, that of most frames.
+    # Shortest and longest time; of several stacks of one time, the stack of most frames.
     first = min(dark, key=lambda s: (s.time, -len(s.frames)))
     last = max(dark, key=lambda s: (s.time, len(s.frames)))
     grown = _average(last) - _average(first)

@@ -10,18 +10,18 @@ from dataclasses import dataclass
 
 # Fields of `Sensor` that describe the camera itself: without them there would be no frame.
 STRUCTURAL = ("gain", "eta", "black_level", "bits", "cfa", "rgb_response", "serial")
-SHARED = "shared"  # the numba chain takes what the numpy code computed: a map, a line, or the whole charge
+SHARED = "shared"  # the numba chain takes the result of the numpy code: a map, a line, or the whole charge
 
 
 @dataclass(frozen=True, kw_only=True)
 class EffectParts:
     """Where one effect is."""
 
-    fields: tuple[str, ...]  # of `Sensor`, those of its parts as "defects.hot_factor"; empty: it needs none
+    fields: tuple[str, ...]  # of `Sensor`, fields of its parts as "defects.hot_factor"; empty: it needs none
     sampled: str  # function that puts it into the frame
     moments: str  # function that puts it into the analytic mean and variance
     fused: str = SHARED  # function of the numba chain that does the same as `sampled`
-    in_noise: bool = True  # part of `noise.NoiseCurve`; False for outliers, and for what only saturated pixels show
+    in_noise: bool = True  # part of `noise.NoiseCurve`; False for outliers, and for effects of saturated pixels alone
 
 
 EFFECT_LIST: dict[str, EffectParts] = {  # by the name that plans use, in the order of the signal chain

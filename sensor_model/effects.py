@@ -44,7 +44,7 @@ def relative_illumination(
 
 
 def crosstalk(light: NDArray, share: float) -> NDArray:
-    """Each of the four neighbours receives `share` of what a pixel has. The sum is kept; borders reflect.
+    """Each of the four neighbours receives `share` of a pixel's charge. The sum is kept; borders reflect.
 
     Optical crosstalk acts on the mean light: photons that scatter at random stay Poisson distributed and independent.
     Electrical crosstalk (capacitive coupling) acts on the collected charge, so it blurs the shot noise too.
@@ -116,8 +116,8 @@ def normal_shot_noise(u: Array, mu_e: Array) -> Array:
 def blooming(charge: Array, mu_e_sat: float) -> Array:
     """Charge over full well spills up and down its column until it finds room or leaves the sensor. e-.
 
-    One half of each excess moves down, the other up; what a pixel cannot hold it passes on. Charge is conserved except
-    over the first and the last row.
+    One half of each excess moves down, the other up; a pixel passes on charge that it cannot hold. Charge is conserved
+    except over the first and the last row.
     """
     held = np.minimum(charge, mu_e_sat)
     if not (charge > mu_e_sat).any():

@@ -63,7 +63,7 @@ def develop(
     dn = np.asarray(getattr(frame_or_dn, "dn", frame_or_dn))
     require(digital_gain > 0, "digital_gain", "> 0", digital_gain)
     linear = develop_linear(dn, sensor, demosaic=demosaic, color_matrix=color_matrix)
-    if digital_gain < 1:  # what white balance lifts over white would stay coloured
+    if digital_gain < 1:  # values that white balance lifts over white would stay coloured
         linear = np.minimum(linear, 1.0)
     linear = linear * np.float32(digital_gain)
     srgb8 = to_srgb8(linear)
@@ -76,7 +76,7 @@ def develop_linear(
     """Codes -> white-balanced linear RGB; 1.0 is the white level, nothing is clipped.
 
     Every channel of a saturated pixel comes out at 1.0 or more, so clipping to 1.0 afterwards leaves no coloured
-    highlights; before a colour matrix, which would colour them, what is above 1.0 is clipped here. Takes codes or
+    highlights; before a colour matrix, which would colour them, values above 1.0 are clipped here. Takes codes or
     analytic means alike; below white linear in `dn`, but for "menon", which chooses directions.
 
     Args:
@@ -84,8 +84,8 @@ def develop_linear(
         sensor: Its black and white level, filter responses and pattern are used.
         demosaic: How the colour filter array is interpolated; "half" does not: each 2 x 2 cell becomes one pixel, its
             greens averaged, so noise stays independent between pixels and an odd last row or column is dropped.
-        color_matrix: [3, 3] from white-balanced camera RGB to linear sRGB; None if the camera's filters are those of
-            sRGB times `rgb_response`, as for images made by `photons_for_electrons`.
+        color_matrix: [3, 3] from white-balanced camera RGB to linear sRGB; None if the camera has the filters of sRGB
+            times `rgb_response`, as for images made by `photons_for_electrons`.
 
     Returns:
         [h, w, 3] ([h//2, w//2, 3] for "half"), or [h, w] for a monochrome frame of a sensor without filter array.

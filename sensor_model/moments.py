@@ -59,7 +59,7 @@ def frame_moments(inputs: Prepared, shot: str = "poisson") -> tuple[Array, Array
 
 
 def _spilled(s: Sensor, charge: Array, base: Array, extra: Array, shot: str) -> tuple[Array, Array]:
-    """Moments of pixels whose charge depends on that of others: sums over pixels, taken as normal. [h, w, c]."""
+    """Moments of pixels whose charge depends on other pixels: sums over pixels, taken as normal. [h, w, c]."""
     held, spread = held_moments(s, charge, shot)
     sigma_d, width = effects.select_gain(held, s.sigma_d, s.dual_gain)
     level = base + s.gain * (effects.nonlinear(held, s.droop) - s.droop * spread)
@@ -110,7 +110,7 @@ def _many_integrals(s: Sensor, mu: Array, base: Array, extra: Array, shot: str) 
     """`integrated_moments` of any number of pixels.
 
     Where many share base and extra, as without DSNU all do, they are interpolated in the square root of the charge: on
-    that axis shot noise is 0.5 wide, whatever the charge, and smooths everything over that width.
+    that axis shot noise is 0.5 wide, for any charge, and smooths everything over that width.
     """
     mean, variance = np.empty_like(mu), np.empty_like(mu)
     kinds, which = np.unique(base + 1j * extra, return_inverse=True)
@@ -152,7 +152,7 @@ def integrated_moments(s: Sensor, mu: Array, base: Array, extra: Array, shot: st
         s: The camera.
         mu: Mean charge [p], e-.
         base: Code of zero charge [p], DN.
-        extra: Variance of what is added to the read noise [p], e-**2.
+        extra: Variance added to the read noise [p], e-**2.
         shot: As in `expose`.
     """
     # Full in every frame: its charge is practically fixed

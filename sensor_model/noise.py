@@ -8,10 +8,10 @@ of the response there, s**2 = 1 - 4 (a / K) x:
              + K**2 (sigma_d**2 + sigma_row**2 + sigma_column**2 + banding**2 / 2) + 1/12    readout, rounding
              + K**2 dsnu**2 + s**2 prnu**2 (y - K dark_e)**2        fixed pattern
 
-Dark charge raises the mean, so its shot noise is part of K y. What is left out: near black and white clipping lowers
-the variance; hot and telegraph pixels are outliers, not noise of every pixel; row, column and banding noise count in
-full, although neighbours share them. Below 0.5 DN of noise, 1/12 is the squared rounding error on average over signals
-that lie anywhere between two codes.
+Dark charge raises the mean, so its shot noise is part of K y. Left out: near black and white clipping lowers the
+variance; hot and telegraph pixels are outliers, not noise of every pixel; row, column and banding noise count in full,
+although neighbours share them. Below 0.5 DN of noise, 1/12 is the squared rounding error on average over signals that
+lie anywhere between two codes.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class NoiseCurve:
             The shape of `mean`, in the square of its unit.
 
         Raises:
-            ValueError: if the last axis of `mean` is not that of the channels.
+            ValueError: if the last axis of `mean` does not hold the channels.
         """
         mean = np.asarray(mean, np.float64)
         count = len(self.slope)
@@ -109,9 +109,9 @@ def raw_noise(
         sensor: The camera.
         exposure: How it is used.
         channels: 3 for a mosaic or three chips, 1 for a monochrome sensor.
-        plan: What `expose` left out; None: nothing.
+        plan: The plan of `expose`, with the effects it left out; None: nothing.
         fixed_pattern: Whether the offsets and responses of single pixels (DSNU, PRNU) count as noise: True for the
-            distance of a datum from what an even camera would give, False for the spread over frames of one view.
+            distance of a datum from an even camera's, False for the spread over frames of one view.
 
     Raises:
         ValueError: if `channels` does not fit the sensor.
@@ -170,7 +170,7 @@ def linear_noise(
     of a cell is the mean of two pixels. A colour matrix M mixes the channels: the curve gives M**2 (element by element)
     times their variances, each at the mean that the inverse of M says, as if the channels were independent, which they
     are for three chips and for "half"; of interpolated pictures it is an estimate. `linear16` itself ends at -6.7 % of
-    white: noise that reaches further, such as that of the loudest presets with a digital gain, is cut there.
+    white: noise that reaches further, as with the loudest presets and a digital gain, is cut there.
 
     Args:
         sensor: The camera.

@@ -39,7 +39,7 @@ def _is_spread(table: tuple[tuple[float, ...], ...]) -> bool:
 
 @dataclass(frozen=True, kw_only=True)
 class SensorOptics:
-    """What the lens and the stack above the photodiodes do to the light."""
+    """The effects of the lens and of the stack above the photodiodes on the light."""
 
     corner_angle: float = 0.0  # degrees; relative illumination falls as cos**4 up to this angle in the corners
     falloff: tuple[float, ...] | None = None  # or: relative illumination at even steps from centre to corner
@@ -67,9 +67,9 @@ class Defects:
     """Pixels that differ from the rest; the serial of the camera determines which ones."""
 
     hot_fraction: float = 0.0  # of the pixels
-    hot_factor: float = 1.0  # dark current of a hot pixel over that of the others
+    hot_factor: float = 1.0  # dark current of a hot pixel over the other pixels'
     rts_fraction: float = 0.0  # of the pixels: random telegraph signal
-    rts_factor: float = 1.0  # standard deviation of the read noise of such a pixel over that of the others
+    rts_factor: float = 1.0  # standard deviation of such a pixel's read noise over the other pixels'
     rts_traps: int = 1  # independent traps in such a pixel: its signal jumps between 2 traps + 1 levels
 
     def __post_init__(self) -> None:

@@ -1,4 +1,4 @@
-"""What a simulation includes, what it leaves out, and the bound on the error of leaving it out.
+"""The effects a simulation includes, the effects it leaves out, and the bound on the error of leaving them out.
 
 Both planners (light transport and sensor) return this table; it prints, and is saved with every result.
 """
@@ -27,7 +27,7 @@ class Effect:
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """The decisions on all effects, and the bound on the error of all that were left out together."""
+    """The decisions on all effects, and the bound on the error of all omitted ones together."""
 
     effects: tuple[Effect, ...]
     bound: float  # on the total error, in `unit`

@@ -1,12 +1,12 @@
 """Which effects an exposure calls for.
 
-An effect may be left out if what it would add stays within three budgets, each for the sum of all that is left out:
-the relative standard deviation (epsilon), a bias in DN, and a relative error of the signal. Leaving out a variance v
+An effect may be left out if its contribution stays within three budgets, each for the sum of all omitted effects: the
+relative standard deviation (epsilon), a bias in DN, and a relative error of the signal. Leaving out a variance v
 changes the standard deviation by sqrt(1 + v/V) - 1 <= v / 2V, where V = S + R**2 + 1/(12 K**2) is the variance that
 every plan keeps: shot noise of the signal S, read noise, rounding. The cheapest effects are left out first. Where the
-charge of any pixel, its dark charge included, comes within five standard deviations of black or white, clipping decides
-what is left of the noise, no such bound holds, and nothing that contributes is left out: give quantiles without the
-highlights to plan for the rest.
+charge of any pixel, its dark charge included, comes within five standard deviations of black or white, clipping shapes
+the noise, no such bound holds, and nothing that contributes is left out: give quantiles without the highlights to plan
+for the rest.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ from sensor_model.params import Exposure, Sensor, require
 from sensor_model.plan import Effect, Plan
 
 SD, BIAS, SIGNAL = "relative standard deviation", "DN of bias", "relative signal"
-Costs = dict[str, tuple[dict[str, float], str]]  # effect -> what leaving it out costs in each budget, and where
+Costs = dict[str, tuple[dict[str, float], str]]  # effect -> the cost of leaving it out in each budget, and where
 CLEAR = 5.0  # standard deviations
 ROOM, KURTOSIS, DISTANCE = "standard deviations short of 5", "excess kurtosis", "Kolmogorov distance"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """What leaving effects out may cost."""
+    """The allowed cost of leaving effects out."""
 
     sd: float  # relative standard deviation, at any signal in the range
     bias_dn: float | None = None  # DN; None: `sd` standard deviations of the darkest signal
     kurtosis: float = 0.1  # excess kurtosis of the darkest pixels
-    distance: float = 0.01  # Kolmogorov distance between the Poisson distribution and what replaces it
+    distance: float = 0.01  # Kolmogorov distance between the Poisson distribution and its replacement
     row_length: int = 1  # pixels of a row that later get averaged (1: pixels count singly): row noise adds up
     shared_views: int = 1  # views in which a scene point meets the same pixel (1: moving camera): fixed pattern adds up
     pixels: int = 1_000_000  # of all frames of one camera: below 0.01 defects expected, none are simulated
@@ -51,7 +51,7 @@ class Limits:
 
 
 def plan_effects(sensor: Sensor, exposure: Exposure, signal_e: ArrayLike, tolerance: float | Limits = 0.05) -> Plan:
-    """Decide, effect by effect, what to simulate.
+    """Decide for each effect whether to simulate it.
 
     Args:
         sensor: The camera.
@@ -60,7 +60,7 @@ def plan_effects(sensor: Sensor, exposure: Exposure, signal_e: ArrayLike, tolera
         tolerance: Relative error of the standard deviation that may be made at any signal in that range, or all limits.
 
     Returns:
-        A plan whose `bound` and `biases` bound the error of all that is left out. Force effects by `Plan.force`.
+        A plan whose `bound` and `biases` bound the error of all omitted effects. Force effects by `Plan.force`.
 
     Raises:
         ValueError: if the signal is negative or not finite, or a limit is out of range.
@@ -96,7 +96,7 @@ def _choose(candidates: Costs, budgets: dict[str, float], exempt: str | None) ->
         if fits:
             spent = {unit: total + cost.get(unit, 0.0) for unit, total in spent.items()}
         _, unit = _worst(cost, budgets)
-        fitting = "fits the budget" if fits else exempt or "exceeds what is left of the budget"
+        fitting = "fits the budget" if fits else exempt or "exceeds the rest of the budget"
         why = f"{reason}; {fitting}" if costly else "this camera has none"
         effects.append(_decided(name, not fits, cost[unit], budgets[unit], unit, why))
     return effects, spent
@@ -114,19 +114,21 @@ def _most_charge(s: Sensor, exposure: Exposure, high: float, limits: Limits) -> 
 
 
 def _hot_e(s: Sensor, exposure: Exposure, limits: Limits) -> float:
-    """Dark charge of a hot pixel beyond that of the others, if there are any. e-."""
+    """Dark charge of a hot pixel beyond the other pixels', if there are hot ones. e-."""
     d = s.defects
     return (d.hot_factor - 1) * s.dark_e(exposure) if d and d.hot_fraction * limits.pixels >= 0.01 else 0.0
 
 
 def _telegraph_variance(s: Sensor, limits: Limits) -> float:
-    """What telegraph noise adds in a pixel that has it, if there are any. e-**2."""
+    """The variance that telegraph noise adds in a pixel that has it, if there are any. e-**2."""
     d = s.defects
     return (d.rts_factor**2 - 1) * s.sigma_d**2 if d and d.rts_fraction * limits.pixels >= 0.01 else 0.0
 
 
 def _least_kept(s: Sensor, signal_e: float, most: float) -> float:
-    """`kept_variance` at the gain that reads with less noise, of those in use at charges from `signal_e` up. e-**2."""
+    """`kept_variance` at the gain that reads with less noise, among the gains in use at charges from `signal_e` up.
+    e-**2.
+    """
     kept, gains = kept_variance(s, signal_e), s.dual_gain
     if gains is None or not _switches(s, most):
         return kept
@@ -139,7 +141,7 @@ def _switches(s: Sensor, most: float) -> bool:
 
 
 def _costs(s: Sensor, exposure: Exposure, low: float, high: float, limits: Limits) -> Costs:
-    """What leaving out each effect costs, per budget, at the worst signal in the range; and what it is."""
+    """The cost of leaving out each effect, per budget, at the worst signal in the range; and its description."""
     most = _most_charge(s, exposure, high, limits)
     dark, bright = (2 * _least_kept(s, x, most) for x in (low, high))
     dark_e = s.dark_e(exposure)
@@ -165,19 +167,19 @@ def _costs(s: Sensor, exposure: Exposure, low: float, high: float, limits: Limit
     spill = (4 * o.crosstalk + (1 - kept)) * (high - low) if o else 0.0
     # of the light alone; bias of the brightest edge against its own noise: 4 c dS <= sqrt(2 eps V) in the first budget
     costs["crosstalk"] = ({SD: spill**2 / bright, BIAS: s.gain * spill}, "at the strongest edge")
-    shown = 4 * s.coupling * (most - low)  # of any charge, that of a hot pixel too
+    shown = 4 * s.coupling * (most - low)  # of any charge, a hot pixel's too
     # it also smooths the noise: (1 - 4 c)**2 + 4 c**2 of the variance, 1 - 4 c of the deviation
     costs["coupling"] = ({SD: 4 * s.coupling + shown**2 / bright, BIAS: s.gain * shown}, "at the strongest edge")
     return costs
 
 
 def _shapes(s: Sensor, low: float, most: float, limits: Limits, exempt: bool) -> list[Effect]:
-    """Effects that a variance does not measure: tails, and what only happens near saturation, by the fullest pixel."""
+    """Effects that a variance does not measure: tails, and effects near saturation, by the fullest pixel."""
     tails = 0.0
     if s.tukey_lambda is not None and s.sigma_d:
         tails = abs(excess_kurtosis(s.tukey_lambda)) * (s.sigma_d**2 / kept_variance(s, low)) ** 2
     # Skewness (1 / (6 sqrt(2 pi)) of it, by Edgeworth's expansion), plus the steps of whole electrons where the read
-    # noise does not blur them; what no distance exceeds, without any light, is 1
+    # noise does not blur them; the largest possible distance, without any light, is 1
     skew = (0.0665 + 0.2 * exp(-2 * (pi * s.sigma_d) ** 2)) / sqrt(low) if low > 0 else inf
     full = max(0.0, CLEAR - _sd_to_white(s, most, limits))
     switch = inf if s.dual_gain is None else _ratio(s.dual_gain.threshold - most, sqrt(most))
@@ -202,7 +204,8 @@ def _sd_to_black(s: Sensor, charge_e: float, limits: Limits) -> float:
 
 
 def _is_coarse(s: Sensor, low: float, most: float) -> bool:
-    """Whether the noise is too small to blur the codes: what rounding does then depends on where between codes it lies.
+    """Whether the noise is too small to blur the codes: the effect of rounding then depends on where between codes it
+    lies.
 
     The mean of a code errs by at most f/pi DN, where f = exp(-S (1 - cos 2 pi K) - 2 (pi K R)**2) is the characteristic
     function of shot and read noise at one cycle per code. Below f = exp(-7), 0.0003 DN, rounding just adds 1/12 DN**2.
@@ -220,7 +223,7 @@ def _whole_variance(s: Sensor, charge_e: float, limits: Limits) -> float:
 
 
 def simplify(sensor: Sensor, plan: Plan | None) -> Sensor:
-    """The camera without the effects its plan leaves out; the others stay as they were."""
+    """The camera without the effects its plan leaves out; the others do not change."""
     off = {effect.name for effect in plan.effects if not effect.on} if plan else ()
     for name, without in REMOVE.items():
         if name in off:

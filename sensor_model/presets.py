@@ -1,4 +1,4 @@
-"""Real cameras. `SOURCES` gives the origin of each value of each preset; units are those of `Sensor`.
+"""Real cameras. `SOURCES` gives the origin of each value of each preset; units as in `Sensor`.
 
 FRAMOS: EMVA 1288 release 3.1 reports of the Sony IMX900 (2.25 um pixels, 36 deg C, 536 nm).
 PMN: megvii-research/PMN (Apache-2.0), data_process/process.py: photon transfer and dark frames per ISO.
@@ -8,8 +8,7 @@ PMN and ELD give noise in DN, and for Tukey's lambda distribution its scale: sig
 Quantum efficiency: no source has a curve over the wavelength; `SOURCES[...]["eta"]` says at which wavelength it was
 measured, if it was. Colour goes through `rgb_response`.
 "assumed": no public measurement. An assumed `eta` matters only for light in physical units: light given in electrons
-divides it out. "derived": what the ADC spans at the lowest ISO; at the ISO of the preset the ADC
-saturates first.
+divides it out. "derived": the range of the ADC at the lowest ISO; at the ISO of the preset the ADC saturates first.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ _COLOUR = {"rgb_response": "assumed", "cfa": "assumed", "serial": "arbitrary"}
 _UNPUBLISHED = {"eta": "assumed", "mu_e_sat": "derived"} | _COLOUR
 
 
-# FRAMOS gives the dark current for high gain only; it is that of the photodiode, which does not depend on the gain.
+# FRAMOS gives the dark current for high gain only; it belongs to the photodiode and does not depend on the gain.
 for _name, _gain, _eta, _sigma_d, _full, _dsnu, _prnu in (
     ("lcg", 0.399, 0.9125, 5.56, 9458.0, 3.7, 0.007),
     ("hcg", 1.673, 0.8847, 1.954, 2183.0, 1.3, 0.008),

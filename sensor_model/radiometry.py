@@ -34,7 +34,7 @@ def check_light(light: NDArray, what: str) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class Lens:
-    """What a pixel sees of the scene."""
+    """The part of the scene that a pixel sees."""
 
     f_number: float
     pixel_pitch: float  # m

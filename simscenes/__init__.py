@@ -2,5 +2,5 @@
 
 import lazy_loader
 
-# Each name is imported when it is used: what a stage reaches is no more than it needs. The names: __init__.pyi.
+# Each name is imported when it is used: a stage reaches no more code than it needs. The names: __init__.pyi.
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

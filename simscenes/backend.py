@@ -57,7 +57,9 @@ print("works")
 
 @dataclass(frozen=True)
 class VariantStatus:
-    """Whether a Mitsuba variant works here; `reason` says what was found, or why it does not work and what helps."""
+    """Whether a Mitsuba variant works here; `reason` names the library found, or says why it does not work and how to
+    help.
+    """
 
     variant: str
     works: bool
@@ -65,7 +67,7 @@ class VariantStatus:
 
 
 def llvm_candidates() -> list[Path]:
-    """Shared libraries that may be libLLVM: the one of DRJIT_LIBLLVM_PATH first, then newest first."""
+    """Shared libraries that may be libLLVM: first the path in DRJIT_LIBLLVM_PATH, then the newest."""
     chosen = os.environ.get("DRJIT_LIBLLVM_PATH")
     found = {os.path.realpath(f) for pattern in _PLACES for f in glob.glob(pattern)}
     by_age = sorted(found, key=lambda f: (_llvm_version(Path(f)) or 0, f), reverse=True)
@@ -78,7 +80,7 @@ def _llvm_version(library: Path) -> int | None:
 
 
 def _run_probe(variant: str, library: Path | None) -> str:
-    """Try a variant in a subprocess: "" if it works, else what went wrong."""
+    """Try a variant in a subprocess: "" if it works, else the error."""
     env = dict(os.environ)
     if library is not None:
         env["DRJIT_LIBLLVM_PATH"] = str(library)
@@ -110,7 +112,7 @@ def _probe(variant: str, library: Path | None, stamp: str) -> str:
 
 @functools.lru_cache(maxsize=1)
 def _working_llvm() -> tuple[Path | None, str]:
-    """The first libLLVM that works, or None; and what was found."""
+    """The first libLLVM that works, or None; and a line about the search."""
     problems = []
     for library in llvm_candidates():
         version = _llvm_version(library)
@@ -140,7 +142,7 @@ def _working_cuda() -> tuple[bool, str]:
 
 
 def backend_status(backend: str) -> tuple[bool, str]:
-    """Whether one of `BACKENDS` works here, and what was found or what would help."""
+    """Whether one of `BACKENDS` works here, and the library found or a remedy."""
     if backend == "cuda_ad":
         return _working_cuda()
     if backend == "llvm_ad":
@@ -185,7 +187,7 @@ def choose_variant(variant: str = "auto", color: str = "rgb") -> str:
 
 
 def backend_of(variant: str = "auto") -> str:
-    """The one of `BACKENDS` that a variant, as for `choose_variant`, runs on."""
+    """The member of `BACKENDS` that a variant, as for `choose_variant`, runs on."""
     full = choose_variant(variant)
     return next(b for b in BACKENDS if full.startswith(b))
 
@@ -198,14 +200,14 @@ def activate(variant: str = "auto", color: str = "rgb") -> Any:
     """
     name = choose_variant(variant, color)
     library, _ = _working_llvm()
-    # Loading mitsuba initialises Dr.Jit, which takes whatever libLLVM it finds first: it must see the one that works.
+    # Loading mitsuba initialises Dr.Jit, which takes whatever libLLVM it finds first: it must see the working library.
     if library is not None:
         os.environ["DRJIT_LIBLLVM_PATH"] = str(library)
     import mitsuba as mi
 
     if mi.variant() != name:
         _switch(mi, name)
-        # Below errors Mitsuba prints to stdout, past Python's warnings; what matters is checked on our side.
+        # Below errors Mitsuba prints to stdout, past Python's warnings; serious faults are checked on our side.
         mi.set_log_level(mi.LogLevel.Error)
     return mi
 
@@ -230,7 +232,7 @@ def using_variant(variant: str = "auto", color: str = "rgb") -> Iterator[Any]:
 
 
 def _switch(mi: Any, variant: str) -> None:
-    """Set a variant, without what Dr.Jit says from the 72nd time on about how Mitsuba loads its own Python code."""
+    """Set a variant, without Dr.Jit's warning from the 72nd time on about how Mitsuba loads its own Python code."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "The AST-transforming decorator", RuntimeWarning)
         mi.set_variant(variant)

@@ -25,7 +25,7 @@ class CameraColor:
         name: As in colour-science's MSDS_CAMERA_SENSITIVITIES.
         curves: Sensitivities [wavelength,3] on `WAVELENGTHS`, relative.
         matrix: Linear sRGB -> camera RGB [3,3], fitted to the ColorChecker in daylight D65.
-        matrix_error: Relative L1 error of that matrix on those patches: what RGB costs before any interreflection.
+        matrix_error: Relative L1 error of that matrix on those patches: the cost of RGB before any interreflection.
     """
 
     name: str

@@ -1,4 +1,6 @@
-"""What a real camera adds to the pinhole: aperture, motion during the exposure, colour filters. All off by default."""
+"""Additions of a real camera to the pinhole: aperture, motion during the exposure, colour filters. All off by
+default.
+"""
 
 from __future__ import annotations
 

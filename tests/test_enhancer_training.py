@@ -89,11 +89,11 @@ def test_a_crop_larger_than_a_picture_is_refused_by_size() -> None:
 @pytest.mark.parametrize(
     ("network", "more", "message"),
     [
-        ("uretinex", "", "network must be that of the training that is continued, mbllen, got uretinex"),
+        ("uretinex", "", "network must equal the training that is continued, mbllen, got uretinex"),
         ("mbllen", "--seed 1", "seed must be .* 0, got 1: restore it, or delete .*checkpoint"),
         ("mbllen", "--crop 18", "crop must be .* 16, got 18"),
         ("mbllen", "--batch 2", "batch must be .* 1, got 2"),
-        ("mbllen", "--rate 1e-3", "the rate of the 3 steps that are done must be that of this training"),
+        ("mbllen", "--rate 1e-3", "the rate of the 3 steps that are done must be this training's"),
     ],
 )
 def test_a_training_is_not_continued_with_other_settings(

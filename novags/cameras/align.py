@@ -138,7 +138,7 @@ def depth_scale(
     """Median, over points and views, of aligned over true depth: 1 where points lie on the surfaces they show.
 
     A point is compared in every registered view that has it in frame. Points that another surface hides there read as
-    too deep; the median holds as long as they are fewer than half.
+    too deep; the median holds while they are fewer than half.
 
     Args:
         estimate: Its points.

@@ -1,4 +1,4 @@
-"""What every camera source returns: cameras for the views it could place, and points to start from, in one frame."""
+"""The result of every camera source: cameras for the views it could place, and points to start from, in one frame."""
 
 import math
 from dataclasses import dataclass, field
@@ -19,7 +19,7 @@ class CameraEstimate:
     """Cameras and initial points, in the source's own frame: any similarity of the true one.
 
     Attributes:
-        registered: Indices, among the C requested views, of those that have a camera; increasing.
+        registered: Indices, among the C requested views, of the views that have a camera; increasing.
         rig: One camera for each registered view, of the size of the views.
         points: [P, 3] float32, units of the source's frame.
         colors: [P, 3] float32, 0..1, as the dark images show them.
@@ -76,10 +76,10 @@ def as_estimate(
     size: tuple[int, int],
     made_of: dict[str, int],
 ) -> CameraEstimate:
-    """The estimate in its types; `size` is width and height of the views, `extent` None that of the cameras themselves.
+    """The estimate in its types; `size` is width and height of the views, `extent` None the cameras' own.
 
     Raises:
-        ValueError: As `CameraEstimate`, and if the cameras are not finite or cannot be those of a `Rig`.
+        ValueError: As `CameraEstimate`, and if the cameras are not finite or cannot form a `Rig`.
     """
     _check_finite(viewmats=torch.as_tensor(viewmats), Ks=torch.as_tensor(Ks))
     return CameraEstimate(

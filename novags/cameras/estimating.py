@@ -32,8 +32,8 @@ def estimate_cameras(
         multiview: The set. `known` takes cameras and depth from it, `sfm` and `hloc` intrinsics, networks nothing.
         indices: The requested views.
         dark: [C, h, w, 3] their dark images, 0..1; points take their colours from these.
-        pictures: [C, h, w, 3] uint8, what all but `known` look at: those that `config.looks_at` names. None: `dark` as
-            8-bit codes, which is what "raw" means.
+        pictures: [C, h, w, 3] uint8, the pictures that `config.looks_at` names, for all sources but `known`. None:
+            `dark` as 8-bit codes, the meaning of "raw".
         n_points: How many points; a network with a point for each pixel has at most those.
         seed: Of every random choice.
         device: Where a network runs.

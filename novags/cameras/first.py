@@ -54,7 +54,7 @@ def from_depths(
 def from_model(
     model: Array, images: Float, viewmats: Array, Ks: Array, count: int, rng: np.random.Generator
 ) -> FirstPoints:
-    """Points of a sparse model; where there are too few, further ones between those that each view sees.
+    """Points of a sparse model; where there are too few, further ones between the points that each view sees.
 
     Args:
         model: World points [M, 3].
@@ -80,7 +80,9 @@ def from_model(
 
 
 def _seen(xyz: Array, viewmats: Array, Ks: Array, height: int, width: int) -> list[Array]:
-    """The points that each view sees: those in its frame that no other hides. Tracks would leave most of them out."""
+    """The points that each view sees: all points in its frame that no other hides. Tracks would leave most of them
+    out.
+    """
     found = []
     for viewmat, K in zip(viewmats, Ks, strict=True):
         in_frame = inside(project(xyz, viewmat, K)[0], height, width)

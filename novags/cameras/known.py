@@ -1,8 +1,8 @@
 """Cameras taken from the set itself, exact or with a stated error, and points to start from.
 
-The errors stand for an estimator's: rotation and translation per camera, depth as one factor per view (what a
-feed-forward network gets wrong is coherent within a view). Points from depth and from the pictures follow the perturbed
-cameras; those of a sparse model stay where they are, exact.
+The errors stand for an estimator's: rotation and translation per camera, depth as one factor per view (a feed-forward
+network's errors are coherent within a view). Points from depth and from the pictures follow the perturbed cameras;
+points of a sparse model do not move and stay exact.
 """
 
 import numpy as np
@@ -36,7 +36,7 @@ def known(
         seed: Of the errors and of the choice of points.
 
     Returns:
-        Every view has a camera, in the frame of the set; `extent` is that of the exact cameras.
+        Every view has a camera, in the frame of the set; `extent` belongs to the exact cameras.
 
     Raises:
         ValueError: For no views, images of the wrong number or size, fewer than 2 points, or a depth_error where the
@@ -66,8 +66,8 @@ def known(
         first = from_model(sparse.xyz, images, moved, Ks, n_points, rng)
     else:
         first = from_pictures(images, moved, Ks, n_points, rng)
-    # Moving by zero would round the last bit: without errors the cameras are exactly the set's own, and the points stay
-    # those that a seed has always given.
+    # Moving by zero would round the last bit: without errors the cameras are exactly the set's own, and a seed gives
+    # the same points as ever.
     viewmats = moved if config.rotation_deg or config.translation else exact
     colors = averaged(first.xyz, first.colors)
     registered, size = tuple(range(len(indices))), (rig.width, rig.height)

@@ -79,7 +79,7 @@ def fill(
     Inverse depth is interpolated, because it is linear across the picture of a plane.
 
     Args:
-        observed: For each view the world points [P_i, 3] that it observes; those behind it do not count.
+        observed: For each view the world points [P_i, 3] that it observes; points behind it do not count.
         dark: [R, h, w, 3].
         viewmats: [R, 4, 4].
         Ks: [R, 3, 3].

@@ -1,4 +1,4 @@
-"""Settings that sources of cameras share, and what is refused of them."""
+"""Settings that sources of cameras share, and checks that refuse bad ones."""
 
 from typing import Literal, get_args
 

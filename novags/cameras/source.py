@@ -32,11 +32,10 @@ class CameraSource:
         description: One line.
         config: The class of its configurations.
         check: Raises a ValueError that says what to install or to give if the source cannot run with a configuration.
-        estimate: Makes cameras and points of what `takes` says and the dark images; its other arguments are n_points,
-            config, seed, and a progress or a device.
-        takes: What it is given: the whole set; the pictures with their intrinsics, "numbered" with `indices` too, their
-            places among all views of the set, for cameras that are known by the order of the pictures; or the pictures
-            alone.
+        estimate: Makes cameras and points of the input named by `takes` and the dark images; its other arguments are
+            n_points, config, seed, and a progress or a device.
+        takes: Its input: the whole set; the pictures with their intrinsics, "numbered" with `indices` too, their places
+            among all views of the set, for cameras that are known by the order of the pictures; or the pictures alone.
     """
 
     description: str

@@ -16,8 +16,8 @@ def parse_settings(text: str, choices: Mapping[str, CameraSource], what: str) ->
     Args:
         text: A name of `choices`, and settings of its dataclass. A path must not hold a comma.
         choices: Sources by name, of whose configurations the fields have type bool, int, float, str, Path or Literal.
-            Only the one that is named is looked at.
-        what: What is chosen, for messages.
+            Only the named source is looked at.
+        what: The kind of thing chosen, for messages.
 
     Raises:
         ValueError: If the name or a setting is unknown, a setting is given twice, has no value or is missing, or a

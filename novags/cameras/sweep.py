@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from novags.cameras.estimate import Array, centers_of
 
-SIZE = 64  # px, longest side: averaging is what makes dark pictures comparable, and first points need no more
+SIZE = 64  # px, longest side: averaging makes dark pictures comparable, and first points need no more
 PLANES = 64  # depths tried, about a pixel of parallax apart at this size
 NEIGHBOURS = 4  # pictures that each one is compared with
 WINDOW = 5  # px
@@ -87,7 +87,9 @@ def neighbours(viewmats: Array, i: int) -> NDArray[np.intp]:
 
 
 def planes(viewmats: Array, Ks: Array, i: int, near: NDArray[np.intp], shape: tuple[int, ...]) -> Array | None:
-    """Inverse depths [PLANES], uniform over those at which neighbours see some of the picture; None: at none."""
+    """Inverse depths [PLANES], uniform over the range in which neighbours see some of the picture; None: they see
+    nothing.
+    """
     if not len(near):
         return None
     height, width = shape
@@ -165,7 +167,7 @@ class _Windows:
 
 
 def semi_global(cost: Float) -> Float:
-    """Costs [D, h, w] with those of smooth paths from four sides added."""
+    """Costs [D, h, w] with the costs of smooth paths from four sides added."""
     total = np.zeros_like(cost)
     for axis, flip in ((1, False), (1, True), (2, False), (2, True)):
         volume = np.moveaxis(np.flip(cost, axis) if flip else cost, axis, 0)  # [steps, D, across]
@@ -184,7 +186,7 @@ def semi_global(cost: Float) -> Float:
 
 
 def between(cost: Float, best: NDArray[np.intp]) -> Array:
-    """Planes of least cost [h, w] as fractions: the lowest points of parabolas through the best and those beside it."""
+    """Planes of least cost [h, w] as fractions: the lowest points of parabolas through the best and its neighbours."""
     inner = np.clip(best, 1, len(cost) - 2)
     below, here, above = (np.take_along_axis(cost, (inner + k)[None], 0)[0].astype(np.float64) for k in (-1, 0, 1))
     bend = below - 2 * here + above

@@ -16,7 +16,7 @@ def dataset(
 ) -> None:  # fmt: skip
     """Make a synthetic data set: scenes, rigs, cameras and light levels from one file; see docs/datasets.md.
 
-    What it will take is shown first. Finished work is kept: the same command again does only what is missing.
+    Its cost is shown first. Finished work is kept: the same command again does only the rest.
 
     Args:
         file: A study file without methods, with a table [dataset].
@@ -26,7 +26,7 @@ def dataset(
         engine: Where the work is done: on this machine, or on a Ray cluster that sees the store (docs/clusters.md).
         workers: Processes at a time on this machine; as many as there are cores, or captures, if not given.
         cluster: Of --engine ray.
-        dry_run: Only show the captures, the splits, and what they will take: time, memory, disk. Nothing is written.
+        dry_run: Only show the captures, the splits, and their cost: time, memory, disk. Nothing is written.
         retry_failed: Try again the captures that failed before.
         overwrite: Replace another data set in the same folder.
         wait: If another process is writing to `out`, wait until it is done instead of refusing.

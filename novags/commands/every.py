@@ -1,4 +1,6 @@
-"""What every command takes, `--allow-links`, `--verify` and `--plugin`; and what its words say of where links lead."""
+"""Options of every command, `--allow-links`, `--verify` and `--plugin`; and the folders that its words let links lead
+to.
+"""
 
 import os
 from collections.abc import Iterator, Sequence
@@ -15,7 +17,7 @@ HELP = (
 
 
 def without_common(words: Sequence[str]) -> tuple[list[str], AbstractContextManager[None]]:
-    """The words of a command line that are left for its command, and what is to be held while it runs.
+    """The words of a command line that are left for its command, and the context to hold while it runs.
 
     Raises:
         ValueError: If the folder or the file of an option is missing.

@@ -48,7 +48,7 @@ def run(
 ) -> None:
     """Run a whole experiment: render, capture in the dark, reconstruct with several methods, score, report.
 
-    Finished work is kept: the same command again does only what is missing.
+    Finished work is kept: the same command again does only the rest.
 
     Args:
         preset: Source of every setting that is not given here.
@@ -56,16 +56,16 @@ def run(
             folder: one of novags, nerfstudio, instant-ngp, NeRF-synthetic, COLMAP or LLFF.
         photos: Instead of a scene: a folder of photographs without poses, or a video file; the poses are found first.
         fps: Frames to take from each second of the video; 2 if not given.
-        define: What a parameter of a Mitsuba file stands for, NAME=VALUE; may be given several times.
+        define: The value of a parameter of a Mitsuba file, NAME=VALUE; may be given several times.
         level: Camera, electrons and pictures of one of the paper's data sets: lom, llnerf, llrs or mvtv, with -3chip
             without demosaicing; `novags list levels` shows them. --sensor and --electrons change it.
         sensor: A camera of sensor_model.PRESETS, or a TOML file of your own.
         electrons: Mean signal of the green channel over the set, electrons per pixel and exposure.
         budget: Time that everything may take, 120s, 5min, 1h: iterations, Gaussians, denoiser steps, samples and size
-            are chosen to lose least against the preset, those that are given here excepted. What that is expected to
-            cost is said before; see docs/accuracy-and-time.md.
-        curves: With a budget: folder of what `novags pareto METHOD` measured; if not given, what out/pareto has of this
-            machine, for other methods the curves that came with novags.
+            are chosen to lose least against the preset, except the settings given here. The expected loss is said
+            before; see docs/accuracy-and-time.md.
+        curves: With a budget: folder of the curves of `novags pareto METHOD`; if not given, the curves of this machine
+            in out/pareto, for other methods the curves that came with novags.
         out: Folder of the experiment; if not given, out/PRESET, with scene, electrons and budget where they are given.
         methods: Methods and variants to compare; `novags list methods` names them.
         variant: A method with settings changed, NAME=METHOD:SETTING=VALUE,SETTING=VALUE, compared as well; may be given
@@ -73,7 +73,7 @@ def run(
         cameras: Where cameras come from: known, known:rotation_deg=1, sfm, dust3r:checkpoint=FILE; see `novags help
             cameras`.
         refine_cameras: Let every fit of Gaussians correct its training cameras. Radiance fields, and averaging, take
-            them as they are given.
+            them as given.
         views: Number of views.
         width: Image width in pixels.
         height: Image height in pixels.
@@ -92,7 +92,7 @@ def run(
         overwrite: Replace finished results of another request in the same folder.
         wait: If another process is writing there, wait until it is done instead of refusing.
         dry_run: Only say which stages would be done, or done again and why. Nothing is written. With a budget whose
-            settings are not chosen yet: what would be tried, and what would be chosen from.
+            settings are not chosen yet: the trial to do, and the settings to choose from.
     """
     from novags.testbed.report.page import write_report
     from novags.testbed.study import place
@@ -101,7 +101,7 @@ def run(
     check_numbers(workers, cluster)
     side_by_side = engine == "ray" or workers is not None or cluster != CLUSTER
     if budget is not None and side_by_side:
-        raise ValueError("a budget predicts what one method after another takes: leave out --budget, or --workers and "
+        raise ValueError("a budget predicts the time of one method after another: leave out --budget, or --workers and "
                          "--engine")  # fmt: skip
     chosen = adapted(
         EXPERIMENTS[preset], scene=scene, photos=photos, fps=fps, level=level, sensor=sensor, electrons=electrons,
@@ -134,7 +134,7 @@ def run(
 
 
 def _compared(methods: tuple[str, ...] | None, variant: Repeated) -> tuple[str, ...] | None:
-    """What `--methods` names and the variants that are spelled out; from a file of variants `--methods` chooses."""
+    """The methods of `--methods` and the variants that are spelled out; from a file of variants `--methods` chooses."""
     spelled = variants_of(tuple(text for text in variant if not text.endswith(".toml")))
     return methods and (*methods, *(each.name for each in spelled if each.name not in methods))
 

@@ -9,7 +9,7 @@ from novags.options import Listed
 
 
 def doctor() -> None:
-    """Check what works on this machine, what does not, and how to install what is missing."""
+    """Check which parts work on this machine, and how to install missing ones."""
     from novags.commands.answers.doctor import examine
 
     marks = {"ok": "ok     ", "missing": "missing", "broken": "BROKEN "}

@@ -17,7 +17,7 @@ def view(runs: Folders, *, host: str = "127.0.0.1", port: int = 8080, sensor: st
         host: Where to listen: 127.0.0.1 for browsers on this machine, 0.0.0.0 for every machine that can
             reach it. No password is asked for.
         port: Port to listen at; the next free one where it is taken.
-        sensor: Camera that views are exposed again with, a name or a TOML file; if not given, that of the capture.
+        sensor: Camera that views are exposed again with, a name or a TOML file; if not given, the capture's.
     """
     from novags.numbers import check_range
     from novags.testbed.viewer.server import check_installed, serving
@@ -43,8 +43,8 @@ def video(
 ) -> None:  # fmt: skip
     """Film a flight through a run, on a smooth path through its training cameras, beside truth and dark pictures.
 
-    Truth and dark pictures are known at the cameras alone: in between, those of the nearest one are shown, and the
-    film says so.
+    Truth and dark pictures are known at the cameras alone: in between, the nearest camera's are shown, and the film
+    says so.
 
     Args:
         run: Folder of a run that holds Gaussians or a radiance field.

@@ -24,7 +24,7 @@ def new(kind: Annotated[Kind, tyro.conf.Positional], name: Name) -> None:
     """Write a working file to start from, into the working directory: NAME.py, a plugin, or NAME.toml, a study.
 
     Args:
-        kind: What it is to be.
+        kind: The kind of file.
         name: Its name: letters, digits, and . _ + - after the first.
     """
     from sensor_model.files.atomic import write_text

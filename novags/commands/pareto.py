@@ -1,4 +1,4 @@
-"""`novags pareto`: what accuracy costs in time."""
+"""`novags pareto`: the cost of accuracy in time."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,10 +16,10 @@ def pareto(
     what: Name, *, out: Path, store: str | None = None, knobs: tuple[str, ...] = (), quick: bool = False,
     repeats: int | None = None, overwrite: bool = False, wait: bool = False, dry_run: bool = False,
 ) -> None:  # fmt: skip
-    """Measure what accuracy costs in time: every knob's error against its seconds, see docs/accuracy-and-time.md.
+    """Measure the cost of accuracy in time: every knob's error against its seconds, see docs/accuracy-and-time.md.
 
-    It is a study whose runs are measurements, one at a time with the whole machine. Each is in the store as soon as it
-    is made: the same command again does only what is missing.
+    It is a study whose runs are measurements, one at a time with the whole machine. Each goes to the store at once: the
+    same command again makes only missing ones.
 
     Args:
         what: render, sensor, splats, a method that declares knobs (whole reconstructions by it), or all; or a study
@@ -27,7 +27,7 @@ def pareto(
         out: Folder of the curves (curves.jsonl), of a figure and tables for each of these, and of the tables of their
             studies.
         store: Folder of all measurements, which studies share; `store` beside `out` if not given.
-        knobs: Measure these alone, by name; what the store has of the others stays.
+        knobs: Measure these alone, by name; stored measurements of the others stay.
         quick: Small sizes and fewer settings: minutes instead of hours for all. The sizes stand in every line.
         repeats: Measurements of each setting, whose spread gives the error bars; 3 if not given, 2 with --quick.
         overwrite: Replace tables of other sizes that lie in `out`.
@@ -64,7 +64,7 @@ def pareto(
 
 
 def _measured(plan: "Plan", out: Path, store: Path, console: "Console") -> int:
-    """Measure what is missing and write the curves; returns how many failed, which the next start tries again."""
+    """Make missing measurements and write the curves; returns how many failed, which the next start tries again."""
     from novags.testbed.report.curves.page import write
     from novags.testbed.study.conduct import conduct
     from novags.testbed.study.engines.choice import OneMachine
@@ -79,7 +79,7 @@ def _measured(plan: "Plan", out: Path, store: Path, console: "Console") -> int:
     try:
         rows = conduct(plan, folder, store, console, OneMachine.whole(), retry_failed=True)
     except KeyboardInterrupt:
-        console.note(f"pareto {measured.of}: stopped; what was measured is kept in {store}")
+        console.note(f"pareto {measured.of}: stopped; finished measurements are kept in {store}")
         raise
     failed = sum(row["state"] != "done" for row in rows)
     if failed:

@@ -16,7 +16,7 @@ def import_(
     overwrite: bool = False, wait: bool = False,
     dry_run: bool = False,
 ) -> None:  # fmt: skip
-    """Make a capture of photographs that were taken in the dark, with what truth there is about them.
+    """Make a capture of photographs that were taken in the dark, with all truth there is about them.
 
     Args:
         folder: Dark photographs with cameras: a nerfstudio, instant-ngp or NeRF-synthetic folder (transforms*.json), a
@@ -33,9 +33,9 @@ def import_(
         curve: Of the codes of 16-bit pictures.
         demosaic: Interpolation of the colour filter array of raw files.
         max_size: Scale larger images down to this longest side, in pixels.
-        split: Which views are held out: own, those of the folder or the data set, every 8th where it says nothing; or
+        split: Which views are held out: own, as the folder or the data set says, every 8th where it says nothing; or
             every8, every 8th of all.
-        dataset: The published data set that the folder is a scene of; auto takes what it looks like, none leaves it.
+        dataset: The published data set that the folder is a scene of; auto goes by its looks, none leaves it.
         overwrite: Replace a finished result of another request in the same folder.
         wait: If another process is writing there, wait until it is done instead of refusing.
         dry_run: Only say whether it would be made, or made again and why. Nothing is written.

@@ -1,4 +1,4 @@
-"""The commands about what is there: score, report, characterise."""
+"""The commands about existing results: score, report, characterise."""
 
 import os
 from collections.abc import Mapping
@@ -26,10 +26,10 @@ def score(
         runs: Folders of runs, of experiments, or folders that hold such.
         renders: Instead: a folder of pictures of the test views, named like them: 8-bit, 16-bit or EXR.
         set: The set or the capture whose test views they show.
-        reference: What they are compared with: lit (the views in good light, sRGB; if not given), linear (the light of
-            the scene, after one gain for all views; 16-bit and EXR files hold linear light then), clean (of a capture:
-            the dark exposures without noise, sRGB); linear_demosaiced, clean_demosaiced: the same of noise-free
-            mosaics.
+        reference: The pictures they are compared with: lit (the views in good light, sRGB; if not given), linear (the
+            light of the scene, after one gain for all views; 16-bit and EXR files hold linear light then), clean (of a
+            capture: the dark exposures without noise, sRGB); linear_demosaiced, clean_demosaiced: the same of
+            noise-free mosaics.
         out: File for all scores of pictures, JSON; the means are printed anyway.
         overwrite: Replace it.
         wait: If another process is writing there, wait until it is done instead of refusing.
@@ -99,7 +99,7 @@ def export_results(
     Args:
         runs: Folders of runs, of experiments, of studies, or folders that hold runs and experiments.
         out: Folder for results.json and METHOD/SCENE/.
-        reference: What pictures are compared with: the views in good light, or the enhanced noise-free exposures.
+        reference: The reference of pictures: the views in good light, or the enhanced noise-free exposures.
         dataset: Name of the data set in these files.
         overwrite: Replace results that are there.
         wait: If another process is writing there, wait until it is done instead of refusing.
@@ -112,7 +112,7 @@ def export_results(
 
 
 def _in_words(mean: Mapping[str, Any], place: "Place", name: str) -> str:
-    """Main scores of a run, what it has over the floor, and what it recovers."""
+    """Main scores of a run, its gain over the floor, and the share that it recovers."""
     words = []
     for kind, number, what, share in (
         ("enhanced", "aligned_psnr", "noise-free exposure {} (aligned PSNR{})", "recovered"),
@@ -164,7 +164,7 @@ def characterise(
 
     Args:
         folder: dark/NAME/* and flat/NAME/*, each NAME some frames of one exposure (raw files, 16-bit PNG or TIFF, npy),
-            and frames.toml for what the files do not state: bits, exposure times, photons, eta.
+            and frames.toml for values that the files do not state: bits, exposure times, photons, eta.
         out: The TOML file.
         window: Side of the central square of the sensor that is used, in pixels.
         overwrite: Replace a file of other content.

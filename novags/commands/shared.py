@@ -1,4 +1,4 @@
-"""What commands share: the console, the lock on what is written, what to do next, words that stand for settings."""
+"""Parts that commands share: the console, the lock on output, what to do next, words that stand for settings."""
 
 import shlex
 import signal
@@ -14,7 +14,7 @@ if TYPE_CHECKING:  # heavy: torch and its friends load when a command runs, so t
 
 
 def variants_of(texts: tuple[str, ...]) -> "tuple[Variant, ...]":
-    """The variants that `--variant` names: spelled out, or those of a TOML file."""
+    """The variants that `--variant` names: spelled out, or from a TOML file."""
     from novags.methods.variant import parse_variant
     from novags.testbed.study.cells.presets import variants_in
 
@@ -30,7 +30,7 @@ def cameras_of(text: str | None) -> Any:
 
 
 def typed(path: Path) -> str:
-    """A path as it is typed into a shell, so that a dash at its beginning starts no option."""
+    """A path as typed into a shell, so that a dash at its beginning starts no option."""
     return shlex.quote(f"./{path}" if str(path).startswith("-") else str(path))
 
 
@@ -79,7 +79,7 @@ def terminated(*_: object) -> NoReturn:
 
 
 def command_line(folder: Path) -> str:
-    """What was typed, as a command that does the same when it is run in `folder`."""
+    """The typed command, in a form that does the same when it is run in `folder`."""
     from novags.testbed.report.again import relative_command
 
     return relative_command(sys.argv[1:], folder)

@@ -14,7 +14,7 @@ def plan(
     width: int | None = None, height: int | None = None, tolerance: float = 0.05, light_tolerance: float = 0.02,
     light: Light = LIGHT,
 ) -> None:  # fmt: skip
-    """Show what would be simulated, what would not, why, and the bound on the error of leaving it out.
+    """Show which effects would be simulated, which not, why, and the bound on the error of leaving them out.
 
     Args:
         scene: A multiview set folder, a scene of the catalogue, or a Mitsuba .xml file.
@@ -37,11 +37,11 @@ def plan(
     config = CaptureConfig(sensor=sensor, electrons=electrons, time=time, tolerance=tolerance)
     size = adapted(EXPERIMENTS[preset], width=width, height=height).render
     pilot = replace(PILOT, scene=scene, **light.settings())
-    # Blur is weighed in pixels and in steps between views: those of the real images, not of the pilot.
+    # Blur is weighed in pixels and in steps between views: pixels of the real images, not of the pilot.
     views = replace(pilot, n_views=size.n_views, width=size.width, height=size.height)
     console = shared.console()
     found = light_plan(views, light_tolerance, console)
-    say(f"Light of {scene}: {'as it is in the folder' if found is None else ''}\n{found or ''}".rstrip())
+    say(f"Light of {scene}: {'given by the folder' if found is None else ''}\n{found or ''}".rstrip())
     noise, signal_e = sensor_plan(pilot, config, size.width * size.height, console)
     signal = ", ".join(f"{name} {value:.3g} e-" for name, value in signal_e.items())
     say(f"\nCamera {sensor}, mean green signal {electrons:g} e-; {signal}\n{noise}")
@@ -139,10 +139,10 @@ def capture(
         out: Folder of the capture.
         level: Camera and electrons of one of the paper's data sets; `novags list levels` shows them. The pictures of
             one of 16 bits are chosen later: `novags reconstruct --pictures 16bit`.
-        sensor: A camera of sensor_model.PRESETS, or a TOML file of your own; that of the level, else
+        sensor: A camera of sensor_model.PRESETS, or a TOML file of your own; if not given, the level's, else
             a7s2-iso6400-3chip.
-        electrons: Mean signal of the green channel over the set, electrons per pixel and exposure; that of the level,
-            else 20.
+        electrons: Mean signal of the green channel over the set, electrons per pixel and exposure; if not given, the
+            level's, else 20.
         time: Exposure time in seconds; only the dark current depends on it.
         max_size: Scale larger images down to this longest side, in pixels.
         demosaic: Interpolation of the colour filter array.
@@ -196,7 +196,7 @@ def reconstruct(
         cameras: Where cameras come from: known, known:rotation_deg=1, sfm, dust3r:checkpoint=FILE; see `novags help
             cameras`.
         refine_cameras: Let a fit of Gaussians correct its training cameras. Radiance fields, and averaging, take them
-            as they are given.
+            as given.
         points: Gaussians at the start.
         iterations: Of the fit.
         denoiser_steps: Of the denoiser before the fit starts.

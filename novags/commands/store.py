@@ -1,4 +1,4 @@
-"""`novags store`: what a store of studies takes, and what of it can go."""
+"""`novags store`: the size of a store of studies, and the entries that can go."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -17,16 +17,16 @@ def store(
     action: Annotated[Literal["size", "prune"], tyro.conf.Positional], folder: Folder, refer: Folders = (), *,
     dry_run: bool = False,
 ) -> None:  # fmt: skip
-    """Say what a store of studies takes, or remove what no study refers to.
+    """Show the size of a store of studies, or remove entries that no study refers to.
 
-    After a change of code a study makes its entries again, and those of before stay: nothing asks for them any more.
+    After a change of code a study makes its entries again, and the old ones stay: nothing asks for them any more.
 
     Args:
         action: size, or prune.
         folder: The store.
         refer: Of prune: the studies whose entries stay: their folders (--out), or their files, whose entries of now
             stay. All that these were made from stays too.
-        dry_run: Only say what would be removed.
+        dry_run: Only name the entries to remove.
     """
     from novags.testbed.ledger.pruning import entries, unreferenced
     from novags.testbed.ledger.store import KINDS

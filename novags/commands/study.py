@@ -23,8 +23,8 @@ def study(
 ) -> None:  # fmt: skip
     """Run a grid of scenes, cameras, light levels, methods and seeds from one file; see docs/studies.md.
 
-    Stages that runs share are done once. Finished work is kept: the same command again does only what is missing. A run
-    that fails becomes a row with its reason, and the rest goes on.
+    Stages that runs share are done once. Finished work is kept: the same command again does only the rest. A run that
+    fails becomes a row with its reason, and the rest goes on.
 
     Args:
         file: The study, a TOML file.
@@ -35,7 +35,7 @@ def study(
         workers: Processes at a time on this machine; all cores are divided among them. As many as there are cores, or
             runs, if not given.
         cluster: Of --engine ray.
-        dry_run: Only show the runs, and what they will take: time, memory, disk. Nothing is written.
+        dry_run: Only show the runs, and their cost: time, memory, disk. Nothing is written.
         nodes: With --dry-run: how long it would take on so many machines like this one; several numbers.
         data: Folder below which the published data sets are whose scenes the file names (docs/real-data.md).
         retry_failed: Try again the runs that failed before.
@@ -51,7 +51,7 @@ def study(
 
     with ExitStack() as stack:
         ahead = stack.enter_context(started_ahead(workers)) if engine == "local" and not dry_run else []
-        read_toml(file)  # says at once if it cannot be parsed; what comes next takes seconds to load
+        read_toml(file)  # says at once if it cannot be parsed; the next modules take seconds to load
         from novags.testbed.study.curves.measuring import read_any
         from novags.testbed.study.plan import plan_of
 
@@ -91,7 +91,7 @@ def check_numbers(workers: int | None, cluster: Cluster, nodes: tuple[int, ...] 
 
 
 def store_folder(store: str | None, out: Path) -> Path:
-    """The folder of a local store: the one that is given, else `store` beside `out`.
+    """The folder of a local store: the given one, else `store` beside `out`.
 
     Raises:
         NotADirectoryError: If it is a file.
@@ -115,7 +115,7 @@ def engine_of(
 
     if name == "ray":
         if workers is not None:
-            raise ValueError("workers are processes on this machine; with --engine ray --needs says what tasks take")
+            raise ValueError("workers are processes on this machine; with --engine ray --needs states their needs")
         return Nodes(read_needs(cluster.needs), cluster.address, cluster.retries, url, cluster.scratch)
     if cluster != CLUSTER:
         raise ValueError("address, needs, retries and scratch belong to --engine ray")
@@ -125,7 +125,7 @@ def engine_of(
 
 
 def _whole(asked: "Engine", ahead: "Sequence[Worker]") -> "Engine":
-    """This machine, one task at a time; refuses what asks for another or for more."""
+    """This machine, one task at a time; refuses options for others or for more."""
     from novags.testbed.study.engines.choice import OneMachine
 
     if not isinstance(asked, OneMachine):

@@ -13,7 +13,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-SHELL = 0.5  # c: thickness of the shell that holds what lies beyond the box
+SHELL = 0.5  # c: thickness of the shell that holds everything beyond the box
 OUTLIERS = 0.005  # share of the points beyond each side: a wrong point must not blow up the box
 MARGIN = 1.1  # of the box around those points: surfaces go on between and behind points
 THINNEST = 1 / 3  # of its longest side: points on a wall would leave no room in front of it
@@ -90,7 +90,7 @@ def _quantile(values: Tensor, q: float) -> Tensor:
 
 
 def contracted(points: Tensor, box: Box) -> Tensor:
-    """World points [..., 3] in the unit cube; the reference of what the kernels do."""
+    """World points [..., 3] in the unit cube; the reference for the kernels."""
     center, half = points.new_tensor(box.center), points.new_tensor(box.half)
     x = (points - center) / half
     r = x.abs().amax(-1, keepdim=True).clamp_min(1.0)
@@ -102,7 +102,7 @@ INNER = 0.75  # share of the samples before `middle`
 
 
 def distance_at(s: Tensor, box: Box) -> Tensor:
-    """Distance along a ray at s in 0..1, any shape; the reference of what the kernels do."""
+    """Distance along a ray at s in 0..1, any shape; the reference for the kernels."""
     inner = box.near + (box.middle - box.near) * s / INNER
     outer = box.middle / (1 - (s - INNER).clamp_min(0) / (1 - INNER) * (1 - box.middle / box.far))
     return torch.where(s <= INNER, inner, outer)

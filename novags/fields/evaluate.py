@@ -1,4 +1,4 @@
-"""A field at points: what its kernels give, and the gradients of its tensors."""
+"""A field at points: the outputs of its kernels, and the gradients of its tensors."""
 
 from typing import Any
 
@@ -20,7 +20,7 @@ def evaluate(field: Field, positions: np.ndarray, basis: np.ndarray) -> tuple[np
 
     Args:
         field: The field.
-        positions: In the unit cube, float32 [S, 3]; what lies outside is extrapolated from the cell at the border.
+        positions: In the unit cube, float32 [S, 3]; points outside are extrapolated from the cell at the border.
         basis: 1, x, y, z of the directions, float32 [R, 4]; of every ray there are S / R samples in a row.
 
     Returns:
@@ -48,7 +48,7 @@ def gradients(
         field: The field.
         positions: As for `evaluate`.
         basis: As for `evaluate`.
-        encoded: What `evaluate` returned.
+        encoded: The result of `evaluate`.
         v_raw: Gradient of the raw outputs, float32 [S, K], C-contiguous.
     """
     n, layout = len(positions), field.layout

@@ -1,9 +1,9 @@
-"""What a radiance field consists of: tables of features on grids of eight resolutions, and one small network.
+"""The parts of a radiance field: tables of features on grids of eight resolutions, and one small network.
 
     encoded  [S, 32]   eight levels of four features, each interpolated between the eight corners of its cell
     hidden   [S, 32]   relu(encoded W1 + b1)
     lanes    [S, 16]   hidden W2 + b2: the density, `static` outputs, and four coefficients of every `viewed` output
-    raw      [S, K]    K = 1 + static + viewed: lanes, those that depend on the view summed over (1, x, y, z) of its
+    raw      [S, K]    K = 1 + static + viewed: lanes; view-dependent ones are summed over (1, x, y, z) of its
                        direction, which are harmonics of degree 0 and 1 up to factors
 
 Levels whose grid has more corners than a table has rows share rows by a hash (Mueller et al. 2022, section 3). Source
@@ -19,7 +19,7 @@ ENCODED = LEVELS * FEATURES
 BASIS = 4  # of a direction: 1, x, y, z
 DENSITY_MAX = 15.0  # of the logarithm of a density: e^15 is opaque within 1e-6 of the box, and its gradient finite
 FIRST_DENSITY = -4.0  # its logarithm at the start: a fog that every ray still gets through
-SIDE = 96  # cells along an axis of the map of the first points, and of the one that rays are sampled after
+SIDE = 96  # cells along an axis of the map of the first points, and of the map that guides samples along rays
 SEEDED = 6.0  # added to the logarithm of the density in cells near first points
 
 

@@ -1,4 +1,4 @@
-"""Rays through a field: where they are sampled, and what their samples add up to."""
+"""Rays through a field: where they are sampled, and the sums of their samples."""
 
 from dataclasses import dataclass, field
 
@@ -79,7 +79,7 @@ class Proposal:
     density: np.ndarray = field(default_factory=lambda: np.full(SIDE**3, FIRST, np.float32))
 
     def learn(self, positions: np.ndarray, log_density: np.ndarray, kept: float) -> None:
-        """Take in what samples have found; see `sample.learn`."""
+        """Take in the densities of samples; see `sample.learn`."""
         found = np.exp(np.minimum(log_density, np.float32(DENSITY_MAX))).astype(np.float32)
         sample.learn(positions, found, SIDE, np.float32(kept), self.density)
 
@@ -127,7 +127,7 @@ def weights_of(log_density: Tensor, widths: Tensor) -> Tensor:
         widths: Of the intervals, units [R, N].
     """
     depth = torch.exp(log_density.clamp_max(DENSITY_MAX)) * widths
-    # shifted, not the sum minus its own term: behind a dense sample that difference would have lost what came before
+    # shifted, not the sum minus its own term: behind a dense sample that difference would have lost the earlier terms
     before = torch.nn.functional.pad(torch.cumsum(depth, 1)[:, :-1], (1, 0))
     return torch.exp(-before) * -torch.expm1(-depth)
 

@@ -1,6 +1,7 @@
-"""The field in plain torch, for tests and for reading: values and, by autograd, gradients of what the kernels do.
+"""The field in plain torch, for tests and for reading: values and, by autograd, gradients, for comparison with the
+kernels.
 
-Any float dtype; slow. Arguments are those of `evaluate`.
+Any float dtype; slow. Arguments as for `evaluate`.
 """
 
 from collections.abc import Mapping

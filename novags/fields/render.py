@@ -12,7 +12,7 @@ from novags.fields.march import Proposal, rays_of, sampled, weights_of, without_
 from novags.splats.views import Views
 
 RAYS = 8192  # that are in memory at once
-EVEN = 0.25  # share of the samples spread evenly, as in training: with less, what the map does not know is missed
+EVEN = 0.25  # share of the samples spread evenly, as in training: with less, surfaces missing in the map are missed
 Shading = Callable[[Tensor, Tensor], Tensor]  # raw [R, N, K] and weights [R, N] -> colour [R, 3]
 
 

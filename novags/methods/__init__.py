@@ -1,4 +1,4 @@
-"""What is compared: the tables of methods and of variants. A new row is a file of its own and a line of text here."""
+"""The tables of methods and of variants to compare. A new row is a file of its own and a line of text here."""
 
 from collections import ChainMap
 from collections.abc import Iterable, Mapping
@@ -68,7 +68,7 @@ def names() -> tuple[str, ...]:
 
 
 def title_of(method: str) -> str:
-    """What a method does, in a sentence, with the package or file that it comes from if that is not novags."""
+    """The work of a method, in a sentence, with the package or file that it comes from if that is not novags."""
     origin = METHODS.origin_of(method)
     return METHODS[method].title if origin is None else f"{METHODS[method].title} (from {origin})"
 
@@ -104,7 +104,7 @@ def with_variants(variants: Iterable[Variant]) -> dict[str, Variant]:
     """The caller's own variants by name.
 
     Raises:
-        ValueError: If a name is taken or used twice, or is that of what it varies.
+        ValueError: If a name is taken or used twice, or a variant has the name of its method.
     """
     found: dict[str, Variant] = {}
     for variant in variants:

@@ -25,10 +25,10 @@ class GaussianScene:
         eps2d: As in `FitConfig`.
         antialiased: As in `FitConfig`.
         near_plane: As in `FitConfig`.
-        tone: Their colours are tones of this curve, and renders are light; None: renders are what they hold.
-        matrix: [3, 3] from that light, or from what they hold, to the light that is rendered; None: the identity. The
+        tone: Their colours are tones of this curve, and renders are light; None: renders are their colours.
+        matrix: [3, 3] from that light, or from their colours, to the rendered light; None: the identity. The
             development of pictures clips light at 1 before it; renders do not.
-        response: Their colours are radiance, and renders show it through this camera response; None: as it is.
+        response: Their colours are radiance, and renders show it through this camera response; None: unchanged.
     """
 
     gaussians: Gaussians
@@ -41,7 +41,7 @@ class GaussianScene:
 
     @staticmethod
     def of(gaussians: Gaussians, config: FitConfig) -> "GaussianScene":
-        """What a fit with this configuration has trained."""
+        """The scene that a fit with this configuration has trained."""
         return GaussianScene(gaussians, config.eps2d, config.antialiased, config.near_plane)
 
     def render(self, views: Views) -> tuple[Tensor, Tensor, Tensor]:

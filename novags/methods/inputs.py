@@ -1,4 +1,4 @@
-"""Which pictures a method is given, and what it says where they are not enough."""
+"""Which pictures a method is given, and its message where they are not enough."""
 
 from typing import Literal
 
@@ -6,4 +6,4 @@ Pictures = Literal["8bit", "16bit"]
 
 
 class LacksInput(ValueError):
-    """A method needs what a capture does not have; another method may do without."""
+    """A method needs data that a capture does not have; another method may do without."""

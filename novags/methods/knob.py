@@ -15,7 +15,7 @@ class MethodKnob:
         why: Why the default is the default, for the page of curves.
         parts: The parts of the training (`Method.parts`) whose time it changes.
         settings: Name of a setting -> dotted settings of the method that it stands for, the same ones in each, from the
-            fastest on. The default is the one that agrees with the configuration that is measured.
+            fastest on. The default is the setting that agrees with the measured configuration.
         option: Or an option of the experiment. Iterations, samples per pixel and size are measured of every method with
             knobs without being declared.
         shares: Of the experiment's own value of the option, from the fastest on; 1 is the default.
@@ -56,4 +56,4 @@ class MethodKnob:
             if dict(settings) == own:
                 return found
         said = ", ".join(f"{name} = {value}" for name, value in own.items())
-        raise ValueError(f"no setting of the knob is that of the configuration ({said}): add it to the row")
+        raise ValueError(f"no setting of the knob agrees with the configuration ({said}): add it to the row")

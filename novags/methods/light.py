@@ -1,4 +1,4 @@
-"""What a camera has measured, as light of known variance: for methods that work on data instead of pictures."""
+"""A camera's measurements, as light of known variance: for methods that work on data instead of pictures."""
 
 from dataclasses import dataclass, replace
 
@@ -49,7 +49,7 @@ def measured_light(
     """The measurements of a capture: raw frames, else the linear 16-bit pictures.
 
     Zero is the black level that the noise model states; the files of a camera with a black-level error state another.
-    Raw frames of another size than the pictures, and those whose white balance is unknown, are left alone.
+    Raw frames of another size than the pictures, or of unknown white balance, are left alone.
 
     Args:
         noise: Of its pictures.
@@ -74,7 +74,7 @@ def measured_light(
     zero = linear16.new_tensor(curve.black)
     if curve.matrix is not None:
         zero = linear16.new_tensor(curve.matrix) @ zero
-    white = linear16.new_tensor(curve.white).clamp_max(1.0) - zero  # the files end at 1, whatever the balance
+    white = linear16.new_tensor(curve.white).clamp_max(1.0) - zero  # the files end at 1, for any balance
     curve = _scaled(curve, [1.0] * 3) if curve.matrix is None else _of_grey(noise.linear16, zero)
     return MeasuredLight(light=linear16 - zero, noise=Variance(curve), white=white, matrix=None, shared=shared)
 
@@ -109,8 +109,8 @@ def _scaled(curve: NoiseCurve, unit: list[float]) -> NoiseCurve:
 
 
 def _of_grey(variance: Variance, zero: Tensor) -> NoiseCurve:
-    """The noise of pictures after a colour matrix, from their `zero` [3] on, as that of a camera without one: right
-    where the light is grey.
+    """The noise of pictures after a colour matrix, from their `zero` [3] on, as the noise of a camera without a matrix:
+    right where the light is grey.
     """
     ends = torch.tensor([0.0, 0.5]).double()[:, None].expand(2, 3) + zero.cpu()
     dark, middle = variance(ends).tolist()

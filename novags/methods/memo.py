@@ -17,7 +17,7 @@ class Memo:
         self.kept: OrderedDict[Hashable, tuple[Any, int]] = OrderedDict()
 
     def once(self, key: Hashable, make: Callable[[], Result]) -> Result:
-        """The result kept under `key`, or that of `make`, which is kept from now on."""
+        """The result kept under `key`, or the result of `make`, which is kept from now on."""
         if key in self.kept:
             self.kept.move_to_end(key)
             found: Result = self.kept[key][0]

@@ -50,7 +50,7 @@ class Variance:
 
 @dataclass(frozen=True)
 class Noise:
-    """What is known about the noise of a capture.
+    """Known facts about the noise of a capture.
 
     Attributes:
         linear16: Of the linear 16-bit pictures. Without such pictures: of the light that the 8-bit ones encode, before

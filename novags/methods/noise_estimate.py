@@ -23,15 +23,16 @@ from sensor_model.noise import NoiseCurve
 
 BINS = 16  # of brightness, each with its own estimate of the variance
 FLAT_SHARE = 0.3  # of the pixels of a bin, the flattest ones: texture would count as noise
-LEAST = 16  # px a side of what is measured
+LEAST = 16  # px a side of a measured plane
 SMALLEST = 2 * LEAST  # px a side of pictures behind a colour filter array, whose colours are measured each by itself
-OUTLIER = 4.0  # standard deviations: what is beyond is an edge, and what a normal loses by that is made good
+OUTLIER = 4.0  # standard deviations: larger differences are edges, and a normal's loss by this cut is made good
 KEPT = 0.99887  # of the variance of a normal that is cut at OUTLIER standard deviations
 # Second differences in x and in y: exactly zero on any plane. Their squares add up to 36.
 _MASK = torch.tensor([[1.0, -2.0, 1.0], [-2.0, 4.0, -2.0], [1.0, -2.0, 1.0]])
 # Neighbours share the noise of interpolated and of compressed pictures, so the variance seems to grow with the distance
-# of what is compared. Measured with pictures of 2 to 80 electrons: from one to two pixels by 0.95 to 1.41 where they do
-# not (more with more texture), by 1.8 to 2.6 after Menon's interpolation, by 3.7 and more after others and after JPEG.
+# of the compared pixels. Measured with pictures of 2 to 80 electrons: from one to two pixels by 0.95 to 1.41 where they
+# do not (more with more texture), by 1.8 to 2.6 after Menon's interpolation, by 3.7 and more after others and after
+# JPEG.
 SHARED, SHARED_MORE = 1.6, 3.0
 BELOW_A_CODE = 3.0  # variances of rounding: noise of less than half a code is lost in the rounding to 8 bits
 PIXELS = 4_000_000  # of all views together: more make no estimate better that texture limits
@@ -39,13 +40,13 @@ PIXELS = 4_000_000  # of all views together: more make no estimate better that t
 
 @dataclass(frozen=True)
 class CameraFigures:
-    """What raw frames say about their camera.
+    """Facts about a camera from its raw frames.
 
     Attributes:
         gain: DN per electron.
         black: DN without light.
-        read_noise: Standard deviation of what is there without light, electrons: read noise, and whatever else does not
-            grow with the light.
+        read_noise: Standard deviation without light, electrons: read noise, and all other noise that does not grow with
+            the light.
     """
 
     gain: float
@@ -79,7 +80,7 @@ def noise_from(srgb8: Tensor, linear16: Tensor | None, raw: RawPictures | None, 
         srgb8: The 8-bit pictures [C, H, W, 3], sRGB-encoded in 0..1; used where there are no 16-bit ones.
         linear16: The linear ones [C, H, W, 3], or None.
         raw: The raw frames, or None.
-        mixed: Whether a colour matrix mixed the channels: then no pixel shows what its own filter measured.
+        mixed: Whether a colour matrix mixed the channels: then no pixel shows its own filter's measurement.
     """
     cfa = None if raw is None or mixed else raw.cfa
     if linear16 is not None:
@@ -96,11 +97,11 @@ def estimate_noise(
     Args:
         linear: [C, H, W, 3], at least 16 px a side (32 with `cfa`).
         cfa: The colour filter array that the pictures were interpolated from, if known and the channels were not mixed
-            since: the curve is then that of the measured values, whose noise neighbours do not share. Without it such
+            since: the curve then describes the measured values, whose noise neighbours do not share. Without it such
             sharing is found in the pictures, and differences are taken over two or three pixels.
         raw: The raw frames, whose curve is estimated too.
-        eight_bit: Whether the pictures were 8-bit sRGB: what clipping at black and rounding did to the noise is undone,
-            so that the curve is that of the light before.
+        eight_bit: Whether the pictures were 8-bit sRGB: the effect of clipping at black and of rounding on the noise is
+            undone, so that the curve describes the light before.
 
     Raises:
         ValueError: For pictures that are too small.
@@ -186,7 +187,7 @@ def _darkest(raw: RawPictures) -> float:
 
 
 def _reach(plane: Tensor, eight_bit: bool) -> int:
-    """Over how many pixels differences are to be taken so that the noise of what is compared is independent."""
+    """Over how many pixels differences are to be taken so that the noise of compared values is independent."""
     (mean, near), (_, far) = (_binned(plane, reach) for reach in (1, 2))
     clipped = int((mean < 2 * near.sqrt()).sum()) if eight_bit else 0
     first = min(clipped, BINS - 4)
@@ -201,8 +202,8 @@ def _binned(plane: Tensor, reach: int) -> tuple[Tensor, Tensor]:
     """Mean and noise variance of flat pixels of every range of brightness, for a stack [C, H, W].
 
     Where neighbours are compared, pixels are sorted by the 16 around the 3 x 3 whose mean is taken: with one mean for
-    both, the darkest bin would hold what noise has darkened, and the line would be too flat. What is compared over a
-    longer `reach` (px) is itself among the 16, so that there all 25 serve for both.
+    both, the darkest bin would hold pixels that noise has darkened, and the line would be too flat. Pixels compared
+    over a longer `reach` (px) are themselves among the 16, so that there all 25 serve for both.
     """
     stack = plane[:, None]
     response = F.conv2d(stack, _MASK.to(plane)[None, None], dilation=reach)[:, 0]

@@ -1,4 +1,4 @@
-"""What a method may see: the training views of one capture, as arrays. Methods know neither folders nor scenes."""
+"""The input of a method: the training views of one capture, as arrays. Methods know neither folders nor scenes."""
 
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field, replace
@@ -46,8 +46,8 @@ class RawPictures:
         cfa: Colour filter array ("RGGB", ...); None for three chips.
         black: DN without light.
         white: DN of saturation.
-        balance: Factors that make grey of what a white surface gives, red, green, blue: `linear16` is
-            balance (dn - black) / (white - black), of a mosaic interpolated, times `matrix`. None if unknown.
+        balance: Factors that make the signal of a white surface grey, red, green, blue: `linear16` is balance (dn -
+            black) / (white - black), of a mosaic interpolated, times `matrix`. None if unknown.
         matrix: [3, 3] from white-balanced camera RGB to linear sRGB; None: the identity.
     """
 
@@ -61,7 +61,7 @@ class RawPictures:
 
 @dataclass(frozen=True, kw_only=True)
 class TrueSurface:
-    """What every view of the set sees, held-out ones too: truth that no camera measures.
+    """The surfaces in every view of the set, held-out ones too: truth that no camera measures.
 
     Attributes:
         viewmats: World-to-camera matrices, float64 [V, 4, 4].
@@ -94,7 +94,7 @@ class Problem:
             the pictures (`noise_estimate.noise_of` chooses); None if neither is possible.
         channels_share: Why the noise of a pixel's three channels is not independent ("demosaicing", "JPEG", "colour
             matrix"); empty where it is.
-        pixels_share: Why that of neighbouring pixels is not independent, where the channels may be ("resampling");
+        pixels_share: Why the noise of neighbouring pixels is not independent, where the channels may be ("resampling");
             empty elsewhere.
         clean: The exposures without noise, developed like `srgb8`, [C, H, W, 3]; behind a colour filter array of all
             three channels of each pixel. Only methods with `sees_clean` get it.

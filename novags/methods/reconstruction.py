@@ -1,4 +1,4 @@
-"""What a method gives back: a scene that can be rendered and saved, and how it came about."""
+"""The result of a method: a scene that can be rendered and saved, and how it came about."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -39,20 +39,20 @@ class Reconstruction:
     """The outcome of one method.
 
     Attributes:
-        scene: What can be rendered and saved.
-        space: What its colours are: "enhanced" (the dark pictures brightened), "linear" (the scene's light, any
+        scene: The scene, to render and save.
+        space: The meaning of its colours: "enhanced" (the dark pictures brightened), "linear" (the scene's light, any
             exposure), "lit" (as in good light, sRGB).
         config: The resolved configuration; `dataclasses.asdict` of it is saved.
-        enhancement: What made the dark pictures bright, for methods in the space "enhanced": {"enhancer", "pictures",
+        enhancement: The enhancement of the dark pictures, for methods in the space "enhanced": {"enhancer", "pictures",
             "config"}. The noise-free exposure goes through the same before renders are compared with it. A method in
             the space "linear" may state one too: its renders then go through it, with the parameters that the training
-            views have on average, and are compared like those of methods that enhance.
+            views have on average, and are compared like the renders of methods that enhance.
         enhanced: The enhanced training pictures [C, H, W, 3], or None.
-        targets: What the scene was finally fitted to [C, H, W, 3] (denoised pictures, say), or None.
+        targets: The pictures that the scene was finally fitted to [C, H, W, 3] (denoised pictures, say), or None.
         viewmats: The training cameras at the end of training [C, 4, 4]; None: unchanged.
         losses: Log entries of the training.
         seconds: Wall time by part.
-        found: What it measured and decided on the way, for the record; plain values.
+        found: Its measurements and decisions on the way, for the record; plain values.
         network: Weights of the network that enhanced the pictures, by name, for methods with one. `save` writes them
             too, to `NETWORK`, which the configuration of the enhancement names.
     """

@@ -38,7 +38,7 @@ def start_gaussians(init: Start, dark: Tensor, targets: Tensor, *, sh_degree: in
     Args:
         init: Points and their colours in the dark images.
         dark: [C, H, W, 3].
-        targets: [C, H, W, 3], what the fit will aim at first.
+        targets: [C, H, W, 3], the fit's first targets.
         sh_degree: 0..3.
         init_scale: Standard deviation in units of the distance to the nearest neighbours; see Gaussians.from_points.
     """

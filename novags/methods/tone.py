@@ -1,10 +1,10 @@
-"""What the colours of Gaussians stand for if not for a picture: tones of light, or radiance that a camera responds to.
+"""Meanings of the colours of Gaussians other than a picture: tones of light, or radiance that a camera responds to.
 
 Tones are about logarithmic, so that dark and bright parts take their share of the Gaussians:
 
     lin(r) = top * expm1(k r) / expm1(k)        r = 0 is black, r = 1 is `top`
 
-k is chosen so that the logarithm's knee, top / expm1(k), is a sixth of the median of the scene, whatever lamp sets
+k is chosen so that the logarithm's knee, top / expm1(k), is a sixth of the median of the scene, for any lamp that sets
 `top`: the median then lies at r = ln 7 / k, 0.4 to 0.5 in most scenes here. Linear colours would spend most Gaussians
 on the brightest parts.
 """
@@ -18,7 +18,7 @@ from torch import Tensor
 
 KNEE = 0.167  # of the median, below which the curve is about straight
 NEIGHBOURS = (1, 4, 16, 64, 256, 1024)  # in a row, whose means take the place of single data in too little light
-BRIGHTEST = 0.999  # quantile of the pixels that is `top`; what is above is r > 1
+BRIGHTEST = 0.999  # quantile of the pixels that is `top`; brighter ones have r > 1
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def tone_curve(light: Tensor) -> ToneCurve:
 
 
 def median_light(values: Tensor) -> float:
-    """The median of noisy values [n]; if it is not above 0, that of means over just enough neighbours to be so.
+    """The median of noisy values [n]; if it is not above 0, the median of means over just enough neighbours to be so.
 
     Where most of a picture has a fraction of an electron, most data are the code of black or below: only the mean of
     several of them is above it.
@@ -97,8 +97,8 @@ class ResponseTable:
 
     Attributes:
         faint: Added to radiance before the logarithm, > 0, which is finite for black then.
-        low: Ln(radiance + faint) of the first code; what is darker has it too.
-        high: Of the last one; what is brighter has it too.
+        low: Ln(radiance + faint) of the first code; darker light has it too.
+        high: Of the last one; brighter light has it too.
         values: The codes, at least 2.
     """
 
@@ -115,7 +115,7 @@ class ResponseTable:
             )
 
     def codes(self, radiance: Tensor) -> Tensor:
-        """What a picture shows of radiance of any shape; negative radiance counts as black."""
+        """The codes of radiance of any shape; negative radiance counts as black."""
         logs = torch.log(radiance.clamp_min(0) + self.faint)
         table, last = radiance.new_tensor(self.values), len(self.values) - 1
         place = ((logs - self.low) / (self.high - self.low)).clamp(0, 1) * last

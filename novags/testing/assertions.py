@@ -1,4 +1,4 @@
-"""Assertions with known truth. What the code under test returned wrong is an `AssertionError` with the numbers; a bound
+"""Assertions with known truth. A wrong result of the code under test is an `AssertionError` with the numbers; a bound
 on something that there is not is a `ValueError`.
 """
 
@@ -24,9 +24,9 @@ def assert_scores(
     """Pictures of the views must score at least (PSNR, SSIM) or at most (FLIP, ΔE, LPIPS) this, on average.
 
     Args:
-        views: What they show: `dark.test`.
-        pictures: [C,h,w,3], floats in 0..1, uint8 or uint16, encoded like what they are compared with; or a folder of
-            files named like the views, of which those of 8 bits are always sRGB-encoded.
+        views: The views they show: `dark.test`.
+        pictures: [C,h,w,3], floats in 0..1, uint8 or uint16, encoded like their reference; or a folder of files named
+            like the views. Files of 8 bits are always sRGB-encoded.
         against: "lit": the views in good light; "clean": the dark exposures without noise, both sRGB-encoded;
             "linear": these in linear light, after one gain for all views, exposed so that few of their values are
             beyond white.
@@ -64,7 +64,7 @@ def assert_depth(
     """Depth maps of the views must be as good as this, on average.
 
     Args:
-        views: What they are of: `dark.test`.
+        views: The views they belong to: `dark.test`.
         depth: z-depth [C,h,w] in the units of the scene; 0, inf or nan where there is nothing.
         alpha: Opacity [C,h,w] in 0..1; 1 everywhere if not given.
         bounds: abs_rel (mean relative error, at most), within_5_percent (share of pixels, at least), coverage (share
@@ -140,7 +140,7 @@ def assert_noise(views: PosedViews, frames: ArrayLike, *, sigmas: float = 5.0) -
     dn = _numbers("frames", frames, views.raw.shape)
     assert np.isfinite(dn).all(), "frames must be finite"
     mean, variance = views.mean_dn.astype(np.float64), views.variance_dn.astype(np.float64)
-    noisy = variance > 1e-6  # DN²; smaller variances are those of saturated pixels, and dividing by them would blow up
+    noisy = variance > 1e-6  # DN²; smaller variances belong to saturated pixels, and dividing by them would blow up
     still = float(np.abs(dn - mean)[~noisy].max(initial=0.0))
     assert still <= 0.5, f"pixels without noise (saturated ones) are up to {still:.3g} DN off their mean"
     sd = np.sqrt(np.where(noisy, variance, 1.0))
@@ -197,7 +197,7 @@ def _numbers(what: str, given: ArrayLike, shape: Sequence[int]) -> NDArray[np.fl
 
 
 def _array(what: str, given: Any) -> NDArray[Any]:
-    """Whatever holds real numbers as an array: lists of tensors, and such as are trained, too."""
+    """Any container of real numbers as an array: lists of tensors, and trained tensors, too."""
     __tracebackhide__ = True
     if hasattr(given, "detach"):  # a tensor of torch; its narrow floats are unknown to NumPy
         found = given.detach().cpu()

@@ -1,4 +1,6 @@
-"""Fixtures of pytest. This file is imported with pytest itself: what is heavy is imported when a test asks for it."""
+"""Fixtures of pytest. This file is imported with pytest itself: heavy modules are imported when a test asks for
+them.
+"""
 
 from pathlib import Path
 from typing import Any, Protocol
@@ -9,7 +11,7 @@ from novags.testing.known import DarkCapture
 
 
 class MakeDarkCapture(Protocol):
-    """What the fixture `dark_capture` is."""
+    """The function behind the fixture `dark_capture`."""
 
     def __call__(self, scene: str | None = None, electrons: float = 20.0, **settings: Any) -> DarkCapture:
         """See the fixture."""

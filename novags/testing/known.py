@@ -1,4 +1,4 @@
-"""A dark capture with all that is known about it, as plain arrays.
+"""A dark capture with its whole truth, as plain arrays.
 
 Cameras are OpenCV's: world-to-camera, x right, y down, z forward, pixel centres at +0.5.
 """

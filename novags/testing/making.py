@@ -26,7 +26,7 @@ def make_capture(store: Path, scene: str | None, electrons: float, settings: Map
     Args:
         store: Folder of the store.
         scene: Of the catalogue, a Mitsuba file, or a folder of posed photographs, relative to the working folder; None:
-            cornell, or what `photos` of the settings names.
+            cornell, or the folder that `photos` of the settings names.
         electrons: Mean signal of green, e- per pixel and exposure.
         settings: Keys of a study file that belong to sets and captures.
 
@@ -71,6 +71,6 @@ def _made(task: Task, store: Path, planner: Planner, content: Mapping[str, str])
 
 @cache
 def _opened(folder: Path, content: str) -> DarkCapture:
-    """One object for one content: what tests have read from it is not read again."""
+    """One object for one content: files that tests have read from it are not read again."""
     capture: Capture = open_capture(folder)
     return DarkCapture.of(capture, capture.source(QUIET))

@@ -4,7 +4,7 @@
     python scripts/choices/ablations.py out/ablation-* --page docs/ablations.md
 
 Numbers are differences to `base` at the same scene, seed and place, mean ± standard error over scenes and seeds. The
-page has the tables between <!-- table: NAME --> and <!-- /table -->, NAME being that of the folder.
+page has the tables between <!-- table: NAME --> and <!-- /table -->, NAME being the folder's.
 """
 
 import argparse

@@ -10,9 +10,9 @@ methods without a dot run in every rung.
     rung 2    all scenes and levels, the first seed
     rung 3    the whole grid of the file
 
-Rungs share one store, so that a later one does only what is new, and the same command resumes. The page has the
-tables between <!-- table: NAME --> and <!-- /table -->, NAME being that of the file; `--tables` only writes them, from
-whatever is finished.
+Rungs share one store, so that a later one does only new runs, and the same command resumes. The page has the tables
+between <!-- table: NAME --> and <!-- /table -->, NAME being the file's; `--tables` only writes them, from whatever is
+finished.
 """
 
 import argparse
@@ -70,7 +70,7 @@ def _keys(table: Mapping[str, Any], prefix: str = "") -> list[str]:
 
 
 def run(file: Path, table: Mapping[str, Any], workers: int | None) -> None:
-    """Do what is missing of a study; runs that fail are rows of its table."""
+    """Do the missing tasks of a study; runs that fail are rows of its table."""
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_text(written(table), encoding="utf-8")
     command = [sys.executable, "-m", "novags", "study", str(file), "--out", str(file.with_suffix("")), "--overwrite"]

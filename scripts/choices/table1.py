@@ -7,8 +7,8 @@ r"""The paper's Table 1 in this bed: a page with one table for each light level,
         --rows docs/table1.csv
 
 Sources are folders of studies and CSV files that an earlier call wrote, so that seeds can be measured one at a time.
-The page has the tables between <!-- table: LEVEL --> and <!-- /table -->, and at `paper` what the paper reports beside
-what is found; the summary has the one of all levels, at `levels`.
+The page has the tables between <!-- table: LEVEL --> and <!-- /table -->, and at `paper` the paper's numbers beside
+ours; the summary has the table of all levels, at `levels`.
 """
 
 import argparse
@@ -131,14 +131,14 @@ def level_table(lines: Sequence[Line], family: Mapping[str, str], competes: Mapp
         for line in members:
             mark = "" if competes[line.method] else " †"
             text.append(f"| `{line.method}`{mark} | " + " | ".join(cell(line, score) for score in scores) + " |")
-    said = {"failed": "", "skipped": "what it needs has failed: "}
+    said = {"failed": "", "skipped": "a task it needs has failed: "}
     failed = [f"`{row['method']}`, seed {row['seed']}: {said[row['state']]}{row['reason']}"
               for line in lines for row in line.runs if row["state"] in said]  # fmt: skip
     return "\n".join([*text, *(["", "Failed: " + "; ".join(failed)] if failed else [])])
 
 
 def _worse(line: Line) -> float:
-    """Sorts the best first, and what has no score last."""
+    """Sorts the best first, and rows without a score last."""
     return -line.spread[MAIN][0] if MAIN in line.spread else inf
 
 

@@ -17,7 +17,7 @@ class Finding:
 
     Attributes:
         name: CHOICE.ALTERNATIVE.
-        settings: What it changes.
+        settings: Its changes.
         own: Differences in aligned PSNR against the noise-free exposure through the enhancement of each run, dB.
         lit: Differences in tone-aligned PSNR against the well-lit truth, dB, at the same places.
         cost: Seconds of training and rendering, as a multiple of the base's, geometric mean.
@@ -45,7 +45,7 @@ class Finding:
 def findings(
     rows: Iterable[Mapping[str, Any]], axes: Sequence[str], table: Mapping[str, Any], base: str
 ) -> list[Finding]:
-    """What is known of each variant that is an alternative, in the order of the study file.
+    """The results of each variant that is an alternative, in the order of the study file.
 
     Args:
         rows: Of the study's results.json.
@@ -86,7 +86,7 @@ def _scored(row: Mapping[str, Any]) -> bool:
 
 
 def going_on(found: Sequence[Finding]) -> list[str]:
-    """The better half of the alternatives by their mean difference, in their order; those that failed stay behind."""
+    """The better half of the alternatives by their mean difference, in their order; failed ones stay behind."""
     known = [f for f in found if f.deciding and f.failed is None]
     ranked = sorted(known, key=lambda f: -_mean(f.deciding))
     kept = {f.name for f in ranked[: math.ceil(len(ranked) / 2)]}

@@ -1,7 +1,7 @@
 """Simulated pairs: a clean picture, photographed by a camera drawn at random, in light drawn at random.
 
-The camera is `sensor_model`'s own. What a network is given are electrons and the read variance that the camera states;
-what it is to find are the electrons that the same light gives without noise, of all channels of all pixels.
+The camera is `sensor_model`'s own. A network is given electrons and the read variance that the camera states. It is to
+find the electrons that the same light gives without noise, of all channels of all pixels.
 """
 
 from dataclasses import dataclass
@@ -32,7 +32,7 @@ class Pairs:
     """A batch.
 
     Attributes:
-        electrons: What was measured, [B, 3, H, W]; 0 where nothing was.
+        electrons: The measurements, [B, 3, H, W]; 0 where nothing was measured.
         mask: 1 where something was, [B, 3, H, W].
         read_variance: [B, 3], electrons**2.
         clean: Without noise, [B, 3, H, W], electrons.
@@ -100,7 +100,7 @@ class Source:
         return np.ascontiguousarray(part[..., rng.permutation(3)])
 
     def _synthetic(self, slot: int, step: int) -> Picture:
-        """One slot is renewed at every `RENEWED` steps, in turn; what it holds depends on the step alone."""
+        """One slot is renewed at every `RENEWED` steps, in turn; its content depends on the step alone."""
         number = slot + self.stock * ((step // RENEWED - slot) // self.stock + 1)
         held = self.made.get(slot)
         if held is None or held[0] != number:
@@ -138,7 +138,7 @@ def batch(source: Source, rng: Rng, step: int, *, crop: int, count: int) -> Pair
     for _ in range(count):
         camera = random_camera(rng, bayer=rng.random() < BAYER_SHARE)
         clean = source.draw(rng, step, crop)
-        # The level is that of a whole picture, so that dark corners are seen as well as bright ones.
+        # The level belongs to a whole picture, so that dark corners are seen as well as bright ones.
         level = float(np.exp(rng.uniform(low, high))) * float(clean[..., 1].mean())
         made.append(photograph(clean, camera, max(level, 0.02), int(rng.integers(2**31))))
     return Pairs(*(torch.cat([getattr(one, name) for one in made]) for name in Pairs.__dataclass_fields__))

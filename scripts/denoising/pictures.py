@@ -1,7 +1,7 @@
 """Clean pictures that belong to no scene: dead leaves, gradients, gratings, text and the catalogue's textures.
 
 Every picture is linear RGB, float32 [size, size, 3], > 0, of any exposure; it follows from its number alone. They are
-drawn at twice the size and averaged, so that edges are as soft as those of a camera.
+drawn at twice the size and averaged, so that edges are as soft as a camera's.
 """
 
 import cv2

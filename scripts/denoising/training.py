@@ -98,19 +98,17 @@ class Training:
         return float(tensors["seconds"])
 
     def _require_same(self, path: Path, done: int) -> None:
-        """Raise ValueError unless the steps that were done are those of this training."""
+        """Raise ValueError unless the finished steps belong to this training."""
         with safe_open(path, "pt") as file:
             then = json.loads((file.metadata() or {}).get("settings", "{}"))
         remedy = f"restore it, or delete {path} to start over"
         for name, value in self.settings.items():
             if (before := then.get(name, "not stated")) != value:
-                raise ValueError(
-                    f"{name} must be that of the training that is continued, {before}, got {value}: {remedy}"
-                )
+                raise ValueError(f"{name} must equal the training that is continued, {before}, got {value}: {remedy}")
         planned = Schedule(steps=then["steps"], rate=then["rate"])
         if any(planned.at(step) != self.schedule.at(step) for step in range(done)):
             raise ValueError(
-                f"the rate of the {done} steps that are done must be that of this training; they had --steps "
+                f"the rate of the {done} steps that are done must be this training's; they had --steps "
                 f"{planned.steps} --rate {planned.rate:g}, got --steps {self.schedule.steps} --rate "
                 f"{self.schedule.rate:g}: {remedy}"
             )

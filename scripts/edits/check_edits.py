@@ -1,19 +1,20 @@
-"""Is what the ledger makes again what changes? Edits one number of the sources, and makes a small study again.
+"""Does the ledger make exactly the changed results again? Edits one number of the sources, and makes a small study
+again.
 
     nice -n 10 python scripts/edits/check_edits.py --edits 200 --seed 0 --out build/edits
 
-Each edit is made in a copy of the sources. Where its file is one that a result reaches, the study is made in a copy of
-the store that the sources as they are have filled: what a stage begins to make was *made again*; a result whose bytes
-are not those of before, costs, dates and versions aside, has *changed*. Where a stage fails, its result and all that
-is made from it are lost: they count as changed, and as made again, since nothing old is given for them. Where the file
-is out of reach, nothing is made again, without a look.
+Each edit is made in a copy of the sources. Where a result reaches its file, the study is made in a copy of the store
+that the unedited sources have filled. A result that a stage begins to make was *made again*. A result whose bytes
+differ from before, costs, dates and versions aside, has *changed*. Where a stage fails, its result and all that is made
+from it are lost: they count as changed, and as made again, since nothing old is given for them. Where the file is out
+of reach, nothing is made again, without a look.
 
-What was kept has its old bytes by that alone. So a random share of all edits (--fresh), out of reach or not, also makes
+A kept result has its old bytes by that alone. So a random share of all edits (--fresh), out of reach or not, also makes
 the study in an empty store: a result that was kept and comes out with other bytes there is *missed*, and must not
 occur. What fails there alone gives no other bytes; it is told.
 
-One line of JSON an edit lies in OUT/edits.jsonl as soon as it is known; the same command goes on after it was stopped,
-with the sources that it began with (OUT/whole). --report says what is known so far.
+One line of JSON an edit goes to OUT/edits.jsonl at once; the same command goes on after it was stopped, with the
+sources that it began with (OUT/whole). --report shows the results so far.
 """
 
 import argparse
@@ -73,7 +74,7 @@ class Place:
 
     @property
     def whole(self) -> Path:
-        """A copy of the sources as they are."""
+        """A copy of the unedited sources."""
         return self.out / "whole"
 
     @property
@@ -83,11 +84,11 @@ class Place:
 
     @property
     def base(self) -> Path:
-        """The store that the sources as they are have filled."""
+        """The store that the unedited sources have filled."""
         return self.out / "base"
 
     def made(self, store: Path | None) -> Made:
-        """Make what is missing of the study in a copy of a store, or in an empty one."""
+        """Make the missing results of the study in a copy of a store, or in an empty one."""
         work = self.out / "work"
         shutil.rmtree(work, ignore_errors=True)
         work.mkdir(parents=True)
@@ -168,7 +169,7 @@ def summary(lines: Sequence[dict[str, Any]], results: Sequence[str]) -> str:
         f"{len(lines)} edits, {sum(line['reach'] for line in lines)} in reach of a result, "
         f"{sum(bool(line['changed']) for line in lines)} change bytes, {len(lines) - len(whole)} make the program fail",
         f"all edits: {_ratio(lines)}",
-        f"without those that fail: {_ratio(whole)}",
+        f"without failing ones: {_ratio(whole)}",
         f"made in an empty store as well: {len(fresh)} edits, {sum(not line['reach'] for line in fresh)} of them out "
         f"of reach; missed: {sum(map(len, missed.values()))} results of {len(missed)} edits; failed there alone: "
         f"{len(broken)}",
@@ -223,7 +224,7 @@ def main() -> None:
     parser.add_argument("--fresh", type=float, default=0.1, help="share of edits that also make the study anew")
     parser.add_argument("--limit", type=float, default=1800, help="seconds that one making may take")
     parser.add_argument("--out", type=Path, default=ROOT / "build" / "edits")
-    parser.add_argument("--report", action="store_true", help="only say what is known")
+    parser.add_argument("--report", action="store_true", help="only show the results so far")
     options = parser.parse_args()
     place = Place(options.out.absolute(), options.limit)
     place.out.mkdir(parents=True, exist_ok=True)

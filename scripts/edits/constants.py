@@ -23,8 +23,8 @@ class Edit:
         file: Relative to the root of the sources.
         line: From 1.
         begin: Of the number in the line, bytes.
-        before: The number, as it is written.
-        after: What is written instead.
+        before: The number, as written.
+        after: The text written instead.
     """
 
     file: str

@@ -1,8 +1,8 @@
-"""Makes what is missing of a study, in this process: making.py SOURCES STUDY STORE SAID.
+"""Makes the missing results of a study, in this process: making.py SOURCES STUDY STORE SAID.
 
-The sources are those of the folder SOURCES. A line of JSON in the file SAID for each thing that happens: the folder of
-a result (a set, a capture, a run, or the scores of a run), that a stage began to make it, that it is there, that it
-failed. What is kept is there without having begun.
+The sources are taken from the folder SOURCES. A line of JSON in the file SAID for each thing that happens: the folder
+of a result (a set, a capture, a run, or the scores of a run), that a stage began to make it, that it is there, that it
+failed. A kept result is there without having begun.
 """
 
 import json
@@ -45,7 +45,7 @@ def main() -> None:
     store.mkdir(parents=True, exist_ok=True)
     console = Console(stream=sys.stderr)
     plan = plan_of(read_study(study), store, console)
-    for key, task in plan.tasks.items():  # each after those that it needs
+    for key, task in plan.tasks.items():  # each after the tasks it needs
         name = task.kind if task.kind != "run" else task.group
         results = [name, f"{name} scores"] if task.kind == "run" else [name]
         for result in results:

@@ -3,7 +3,7 @@
     python scripts/fields_bench/bench_fields.py [--rays 512] [--samples 96] [--log2-rows 17] [--repeat 5]
 
 Best of the repetitions, on as many threads as torch has (OMP_NUM_THREADS). Positions lie on a wall in the middle of the
-box, as those of a trained field lie on surfaces.
+box, as positions of a trained field lie on surfaces.
 """
 
 import time

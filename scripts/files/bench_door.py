@@ -3,7 +3,7 @@
     python scripts/files/bench_door.py [--runs 500] [--rounds 7] [--beside CHECKOUT]
 
 A tiny set, capture and run are made and the run is copied. Opening is what `novags report FOLDER` does before it draws:
-each run's record, scores and losses, its capture and set compared with what they were. Every round is a process of its
+each run's record, scores and losses, its capture and set compared with their records. Every round is a process of its
 own, of the two versions in turn; prints processor seconds of both, least and median, and the ratio of the medians.
 """
 

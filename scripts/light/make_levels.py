@@ -32,7 +32,7 @@ SIXTEEN = np.concatenate([-np.geomspace(4096, 1, 40), np.geomspace(1, 61440, 60)
 
 @dataclass(frozen=True)
 class Look:
-    """What was measured of one capture."""
+    """The measurements of one capture."""
 
     share8: NDArray  # of the 8-bit values, by code
     share16: NDArray  # of the 16-bit values, by bin of `SIXTEEN`

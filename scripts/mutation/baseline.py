@@ -1,4 +1,4 @@
-"""Which tests reach which lines, and how long they take: one run of the tests on the sources as they are.
+"""Which tests reach which lines, and how long they take: one run of the tests on the unchanged sources.
 
 The recorder is a pytest plugin; so is the choice of tests that a mutant is judged by.
 """
@@ -65,7 +65,7 @@ class Recorder:
         yield from self._traced(item, item.nodeid)
 
     def pytest_sessionfinish(self) -> None:
-        """Write what was seen."""
+        """Write the findings."""
         lines = {name: {who: sorted(seen) for who, seen in by.items()} for name, by in self.lines.items()}
         self.path.write_text(json.dumps({"seconds": self.seconds, "lines": lines}), encoding="utf-8")
 

@@ -67,7 +67,7 @@ class MutatedModule(importlib.abc.MetaPathFinder, SourceFileLoader):
 
 
 def in_child(call: Callable[[], int], log: Path) -> int:
-    """Fork, run `call` with its output in a file, exit with what it returns. Gives the child's process number."""
+    """Fork, run `call` with its output in a file, exit with its result. Gives the child's process number."""
     sys.stdout.flush()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)  # of forks beside threads: ours takes nothing from them
@@ -97,7 +97,7 @@ def run_pytest(root: Path, tests: list[str], plugin: object, folder: Path) -> in
 
 
 def baseline(root: Path, sources: list[str], test: str, path: Path) -> dict[str, Any]:
-    """Seconds and reached lines of every test of a file on the sources as they are, kept in the file `path`."""
+    """Seconds and reached lines of every test of a file on the unchanged sources, kept in the file `path`."""
     if not path.exists():
         log = path.with_suffix(".log")
         with tempfile.TemporaryDirectory() as folder:

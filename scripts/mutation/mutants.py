@@ -58,7 +58,7 @@ def mutants(source: str) -> list[Mutant]:
         start = offsets[node.lineno - 1] + node.col_offset
         end = offsets[(node.end_lineno or node.lineno) - 1] + (node.end_col_offset or 0)
         before = raw[start:end].decode()
-        # The line breaks of what is replaced stay, so that no later line moves.
+        # The line breaks of the replaced text stay, so that no later line moves.
         breaks = "\n" * before.count("\n")
         code = f"({ast.unparse(after)}{breaks})" if isinstance(after, ast.expr) else ast.unparse(after) + breaks
         if ast.unparse(after) != ast.unparse(node):

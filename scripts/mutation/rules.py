@@ -43,7 +43,7 @@ def changes(node: ast.expr, role: str, names: frozenset[str]) -> Iterator[Change
 
     Args:
         node: The expression.
-        role: What it stands there for: "axis", "index", "slice", "exponent", "callee", "argument", "option NAME" or "".
+        role: Its role there: "axis", "index", "slice", "exponent", "callee", "argument", "option NAME" or "".
         names: Names that the function knows: only those can be mixed up.
     """
     match node:

@@ -2,7 +2,7 @@
 
 Importing this module imports numba.
 """
-# numba infers the types of what it compiles, and its decorators are untyped.
+# numba infers types itself, and its decorators are untyped.
 # mypy: disable-error-code="no-untyped-call, no-untyped-def, untyped-decorator"
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def standard_normals(draws: streams.Draws, shape: tuple[int, ...], stream: int) 
 
 @jit
 def row_uniform(b, n, stream, channel, row, col, view, frame, k0, k1):
-    """b[U:U + n] = the draws of columns col.. of one row, whatever the parity of col."""
+    """b[U:U + n] = the draws of columns col.. of one row, for any parity of col."""
     effect = np.uint64(stream * streams.CHANNELS + channel)
     odd = col % 2
     uniform(b, n + odd, row, col - odd, effect, view, frame, k0, k1)

@@ -3,7 +3,7 @@
 Bit for bit the same frame as the numpy reference, for any number of threads and any size of block, because every pixel
 owns its random numbers and nothing is summed across pixels. Importing this module imports numba.
 """
-# numba infers the types of what it compiles, and its decorators are untyped.
+# numba infers types itself, and its decorators are untyped.
 # mypy: disable-error-code="no-untyped-call, no-untyped-def, untyped-decorator"
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def _noise(read: tuple[float, ...], lam: float | None, single: bool) -> tuple[in
     _, _, sigma, _, gain, _, _, sigma_low, _ = read
     loudest = max(sigma, sigma_low)
     kind = QUIET if loudest == 0 else NORMAL if lam is None else TUKEY
-    # The quantile's own error grows with it, up to 5.3 deviations; what else is computed is in float64
+    # The quantile's own error grows with it, up to 5.3 deviations; the rest is computed in float64
     return kind, -1.0 if single else gain * loudest * NORMAL_ERROR * 6.3
 
 

@@ -2,11 +2,11 @@
 
 Everything works on CHUNK pixels at a time, in loops without branches or calls, which LLVM turns into SIMD code. All
 operands live in one float64 scratch array `b` (it stays in the first-level cache), each at a fixed offset: U, W, MU ...
-Distances known at compile time are what lets LLVM vectorise without testing every pair of arrays for overlap.
-Only + - * / and sqrt in float64 are used on the common path and nothing is re-associated, so results do not depend on
-the machine, the vector width or the place in a chunk. Importing this module imports numba: do so inside functions only.
+Distances known at compile time let LLVM vectorise without testing every pair of arrays for overlap. Only + - * / and
+sqrt in float64 are used on the common path and nothing is re-associated, so results do not depend on the machine, the
+vector width or the place in a chunk. Importing this module imports numba: do so inside functions only.
 """
-# numba infers the types of what it compiles, and its decorators are untyped.
+# numba infers types itself, and its decorators are untyped.
 # mypy: disable-error-code="no-untyped-call, no-untyped-def, untyped-decorator"
 
 from __future__ import annotations

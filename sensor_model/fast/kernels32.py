@@ -1,10 +1,10 @@
 """Single-precision twins of the kernels, twice as many pixels to a SIMD register; each states how far it may be off.
 
 Code that rounds their result checks whether it lies so near to a step that the error could matter, and if so calls the
-double-precision kernel. So frames equal those of float64 bit for bit, at nearly the speed of float32.
-`f` is a float32 scratch array with the offsets of `b`. Importing this module imports numba.
+double-precision kernel. So frames equal float64 frames bit for bit, at nearly the speed of float32. `f` is a float32
+scratch array with the offsets of `b`. Importing this module imports numba.
 """
-# numba infers the types of what it compiles, and its decorators are untyped.
+# numba infers types itself, and its decorators are untyped.
 # mypy: disable-error-code="no-untyped-call, no-untyped-def, untyped-decorator"
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ NORMAL_ERROR = 1e-6  # of `normal32` down to TAIL (5.2 standard deviations), ove
 _F = np.float32
 _ONE, _HALF, _FOUR, _LN2, _ROOT2, _ROOT8 = _F(1), _F(0.5), _F(4), _F(np.log(2)), _F(np.sqrt(2)), _F(np.sqrt(8))
 _EDGE, _SHIFT, _THREE = _F(5), _F(2.5), _F(3)
-# Of a float32's bits: exponent unit and its inverse, bias, and what makes the fraction lie in sqrt(1/2)..sqrt(2)
+# Of a float32's bits: exponent unit and its inverse, bias, and the offset that makes the fraction lie in
+# sqrt(1/2)..sqrt(2)
 _EXPONENT, _STEP, _BIAS, _CUT = _F(2**23), _F(2**-23), _F(127), _F(127 - 0.0858)
 _WHOLE = _F(1.5 * 2**23)  # adding and subtracting it rounds to the nearest whole
 # Moshier's Cephes, logf: log(1 + x) = x - x**2/2 + x**3 p(x)
@@ -32,7 +33,7 @@ _OUTER = tuple(map(_F, (-0.000200214257, 0.000100950558, 0.00134934322, -0.00367
 
 
 def fast(function):
-    """Fused multiply-adds, where the machine has them: what is bounded here is the error, not the last bit."""
+    """Fused multiply-adds, where the machine has them: the bound here is on the error, not on the last bit."""
     return jit(function, fastmath={"contract", "nnan", "ninf", "nsz"})
 
 

@@ -3,7 +3,7 @@
 Single precision finds the count; where its error could matter, the distribution function decides in double precision.
 Importing this module imports numba.
 """
-# numba infers the types of what it compiles, and its decorators are untyped.
+# numba infers types itself, and its decorators are untyped.
 # mypy: disable-error-code="no-untyped-call, no-untyped-def, untyped-decorator"
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def _small(b, f, n, where):
         f[U + i] = _F(b[U + i])
         p = exp16(-b[MU + i]) if small else 0.0
         f[P + i] = _F(p)
-        f[C + i] = _F(p if small else 2.0)  # 2 is above any u: larger means stay as they are
+        f[C + i] = _F(p if small else 2.0)  # 2 is above any u: larger means do not change
         f[N + i] = _ZERO
         f[X + i] = _ONE
     _count_up(f, n)

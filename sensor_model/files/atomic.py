@@ -29,13 +29,13 @@ def atomic(path: str | os.PathLike[str]) -> Iterator[Path]:
 
     Raises:
         OSError: If it cannot be written; names `path` where the system names no file.
-        ValueError: If a link leads its folder out of those that were given.
+        ValueError: If a link leads its folder out of the given folders.
     """
     target = Path(path)
     check_links(target.parent)
     target.parent.mkdir(parents=True, exist_ok=True)
     temporary = target.with_name(f".{target.stem}.{os.getpid()}.partial{target.suffix}")
-    remove(temporary)  # what a killed process of the same number may have left
+    remove(temporary)  # files that a killed process of the same number may have left
     try:
         yield temporary
         for witness in _witnesses:
@@ -54,10 +54,10 @@ def atomic(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 class Witness:
-    """What files held when they were written.
+    """The content of files when they were written.
 
     Attributes:
-        found: What `look` returned, by the absolute path.
+        found: The results of `look`, by the absolute path.
         stamps: Device, inode, times and size of the same files, once they had their names.
     """
 
@@ -79,7 +79,7 @@ class Witness:
                 self.stamps[os.path.abspath(file)] = stamp_of(file)
 
     def unchanged(self, path: Path) -> bytes | None:
-        """What was found of a file that is as it was when it appeared; None if that has to be seen by reading it."""
+        """The result of `look` for a file that has not changed since it appeared; None if only reading it can tell."""
         place = os.path.abspath(path)
         return self.found.get(place) if self.stamps.get(place) == stamp_of(path) else None
 
@@ -119,12 +119,12 @@ def write_text(path: Path, text: str) -> None:
 
 
 def sweep(folder: str | os.PathLike[str], inside: Iterable[str] = (), *, own: bool = False) -> None:
-    """Remove what killed processes left half-written. Call it only where nobody else writes: under the folder's lock.
+    """Remove half-written files of killed processes. Call it only where nobody else writes: under the folder's lock.
 
     Args:
         folder: Where to look, not in the folders in it.
         inside: Folders in it that are searched to any depth; a link to one is not followed.
-        own: This process has not begun to write: what bears its number is of an earlier one.
+        own: This process has not begun to write: files with its number are of an earlier one.
     """
     roots = (root for name in inside if (root := Path(folder) / name).is_dir() and not root.is_symlink())
     for path in [*Path(folder).glob(".*.partial*"), *(path for root in roots for path in root.rglob(".*.partial*"))]:
@@ -137,7 +137,9 @@ def sweep(folder: str | os.PathLike[str], inside: Iterable[str] = (), *, own: bo
 
 
 def sweep_file(path: str | os.PathLike[str]) -> None:
-    """Remove what killed processes left half-written of one file. Call it where nobody else writes that file."""
+    """Remove half-written versions of one file that killed processes left. Call it where nobody else writes that
+    file.
+    """
     target = Path(path)
     for left in target.parent.glob(f".{escape(target.stem)}.*.partial{escape(target.suffix)}"):
         match = _PARTIAL.match(left.name)
@@ -159,7 +161,7 @@ def remove(path: Path) -> None:
     """Remove a file or a folder, if it is there; of a link the link alone.
 
     Raises:
-        ValueError: If a link leads its folder out of those that were given.
+        ValueError: If a link leads its folder out of the given folders.
         OSError: If it cannot be removed.
     """
     check_links(path.parent)

@@ -42,7 +42,7 @@ def read_sensor(path: str | os.PathLike[str]) -> Sensor:
 
 
 def sensor_from_dict(data: Mapping[str, Any]) -> Sensor:
-    """A camera from plain values: those of a TOML file, or `dataclasses.asdict` of a camera after a trip through JSON.
+    """A camera from plain values: from a TOML file, or `dataclasses.asdict` of a camera after a trip through JSON.
 
     Raises:
         ValueError: As `read_sensor`, without the file's name.
@@ -127,7 +127,7 @@ def _is_number(value: Any) -> bool:
 
 def _assignments(owner: Any) -> list[str]:
     values = {f.name: getattr(owner, f.name) for f in fields(owner) if f.name not in PARTS}
-    # TOML has no null: what is None is left out, except for the colour filter array, whose default is not None
+    # TOML has no null: fields that are None are left out, except for the colour filter array, whose default is not None
     return [f"{name} = {_literal(value)}" for name, value in values.items() if value is not None or name in TEXT]
 
 

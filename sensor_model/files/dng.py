@@ -1,8 +1,8 @@
 """Raw frames as DNG files: a colour filter mosaic, or one or three full channels (LinearRaw).
 
-Mosaics and monochrome frames are for any raw converter, three channels for LibRaw (rawpy) and what is built on it: both
-levels are one number for all channels. DNG 1.4 asks for one a channel in such files, and Adobe's converters ignore the
-levels that we write; but of three, LibRaw takes those for three of its four channels, leaves the fourth at 0, and
+Mosaics and monochrome frames are for any raw converter, three channels for LibRaw (rawpy) and programs built on it:
+both levels are one number for all channels. DNG 1.4 asks for one a channel in such files, and Adobe's converters ignore
+the levels that we write; but LibRaw takes three levels for three of its four channels, leaves the fourth at 0, and
 renders the picture darker by black/white. No file suits both.
 
 LibRaw reads all of them bit for bit, if both sides have `SMALLEST` pixels or more.
@@ -24,7 +24,7 @@ from sensor_model.params import Exposure, Sensor, require
 XYZ_TO_SRGB = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])
 
 SMALLEST = 22  # px, of either side: LibRaw takes smaller images for damaged files
-TIMES = (1e-9, 2e9)  # s; what a rational of the format holds beside 0
+TIMES = (1e-9, 2e9)  # s; range of a rational of the format, beside 0
 BLACK_LEVEL = (50714, (5, 8))  # pidng's own has the type SHORT; RATIONAL (type 5, 8 bytes) takes fractions too
 
 
@@ -41,9 +41,9 @@ def write_dng(
     Args:
         path: File to write; appears whole or not at all.
         dn: uint16, [h, w] for a mosaic or a monochrome sensor, [h, w, 3] for three chips. Below `SMALLEST` px the file
-            is right, but LibRaw and what is built on it refuse it.
+            is right, but LibRaw and programs built on it refuse it.
         sensor: The camera. A black level between two codes stays exact in the file; LibRaw rounds it.
-        exposure: Its time goes into the file; 0, or what a rational of the format holds, `TIMES`.
+        exposure: Its time goes into the file; 0, or within the range of the format, `TIMES`.
         color_matrix: As in `develop_linear`.
 
     Raises:

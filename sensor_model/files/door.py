@@ -2,11 +2,11 @@
 
 A file is read if it is a regular file (a FIFO would wait for ever, a device has no end), not larger than what its kind
 can need, and not reached by a link that leads out of the folder that was given: an archive can carry a link to any
-file of the user's. The same rule holds for what is written.
+file of the user's. The same rule holds for written files.
 
 `enter` makes a folder known as one that was given: its links may lead to other places in it, to other folders that were
-given, and to those of `allow`. Paths outside all of these folders were written out by somebody in full, and links on
-them are not the business of this rule. The rule is for folders that lie still, not against somebody who changes them
+given, and to the places of `allow`. Paths outside all of these folders were written out by somebody in full, and links
+on them are not the business of this rule. The rule is for folders that lie still, not against somebody who changes them
 while they are read.
 """
 
@@ -26,7 +26,8 @@ from typing import BinaryIO
 
 AnyPath = str | os.PathLike[str]
 
-# Bytes at most, by what a file is. Far above the largest that anybody has, far below what exhausts a machine.
+# Bytes at most, by the kind of a file. Far above the largest that anybody has, far below a size that exhausts a
+# machine.
 TEXT = 256 << 20  # JSON, TOML, XML, CSV; COLMAP's text of a hundred thousand points is 50 MiB
 PICTURE = 4 << 30  # 2**29 pixels of 16-bit RGB, uncompressed
 VARIABLE = (
@@ -38,7 +39,7 @@ _given: dict[str, str] = {}  # folders: absolute path as written -> without link
 
 
 def enter(folder: AnyPath) -> None:
-    """Take a folder as given by the user: from now on its links have to stay inside what was given.
+    """Take a folder as given by the user: from now on its links have to stay inside the given folders.
 
     Raises:
         ValueError: If it lies in another folder that was given, behind a link that leads out of all of them.
@@ -47,7 +48,7 @@ def enter(folder: AnyPath) -> None:
 
 
 def allow(places: Iterable[AnyPath]) -> None:
-    """Let links lead to these folders and files, in this process and in those that it starts."""
+    """Let links lead to these folders and files, in this process and in the processes that it starts."""
     both = dict.fromkeys([*_allowed(), *(os.path.realpath(place) for place in places)])
     os.environ[VARIABLE] = json.dumps(list(both))
 
@@ -117,7 +118,7 @@ def reachable() -> list[str]:
 
 
 def _allowed() -> list[str]:
-    """What `allow` was told, in this process or in one that started it."""
+    """The places given to `allow`, in this process or in one that started it."""
     found = json.loads(os.environ.get(VARIABLE) or "[]")
     return found if isinstance(found, list) else []
 
@@ -136,10 +137,10 @@ def opened(path: AnyPath, *, most: int | None = None) -> BinaryIO:
 
     Args:
         path: The file.
-        most: Bytes that it may have; None: what `largest` says.
+        most: Bytes that it may have; None: the result of `largest`.
 
     Raises:
-        ValueError: If it is not a regular file, is larger, or a link leads out of what was given.
+        ValueError: If it is not a regular file, is larger, or a link leads out of the given folders.
         OSError: If it is missing or cannot be read.
     """
     _check_kind(path, os.stat(path))  # before it is opened: that alone can block, or wind a tape back
@@ -157,7 +158,7 @@ def opened(path: AnyPath, *, most: int | None = None) -> BinaryIO:
 
 
 def stamp_of(file: AnyPath | int) -> tuple[int, ...]:
-    """What changes when a file does, by its name or its descriptor: device, inode, times, size.
+    """The stamp that changes when a file does, by its name or its descriptor: device, inode, times, size.
 
     A clock set back, or a copy that keeps its time stamp, can repeat the time of modification; hardly the time of
     change.
@@ -229,7 +230,7 @@ def descriptor_of_our_own(path: AnyPath, flags: int) -> int:
 
 @cache
 def largest() -> int:
-    """Bytes of a file that this machine can make use of: half of its memory, since what is read is worked on there."""
+    """Bytes of a file that this machine can make use of: half of its memory, since the content is worked on there."""
     return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // 2
 
 

@@ -26,7 +26,7 @@ from sensor_model.files.atomic import sweep
 from sensor_model.files.door import check_links, descriptor_of_our_own
 
 NAME = ".novags.lock"  # hidden, so that it is part of no digest and of no listing; removed on release
-SIGNED = re.compile(r"'.*' \(process \d+ on .*, since .*\)")  # what a lock file of ours holds, if it holds anything
+SIGNED = re.compile(r"'.*' \(process \d+ on .*, since .*\)")  # the content of our lock files, if there is any
 COMMAND_LENGTH = 160  # characters of it in a message: one line
 LOST = 1000  # times that a folder may go while it is made; more is a place where there can be none, as in /proc
 _READ_ONLY = (errno.EACCES, errno.EPERM, errno.EROFS)
@@ -50,11 +50,11 @@ def locked(
 ) -> Iterator[bool]:
     """Hold a folder against every other process and thread that takes the same lock.
 
-    The thread that holds it may take it again. A process that is killed releases it, and what it left half-written is
+    The thread that holds it may take it again. A process that is killed releases it, and its half-written files are
     swept when the next one begins.
 
     Args:
-        folder: What to hold.
+        folder: The folder to hold.
         inside: Folders in it that are swept too; the folder itself always is.
         name: Of the lock file in it. Another one than `NAME` guards less than the whole folder: nothing is swept.
         wait: Called with one line about the holder if there is one, and then waited for; None: as an enclosing `locked`
@@ -120,7 +120,7 @@ def _refuse_file(folder: Path) -> None:
 
 
 def _refuse(path: Path, folder: Path, wait: Tell | None) -> None:
-    """Raise what taking the lock would raise, and make nothing."""
+    """Raise the errors of taking the lock, and make nothing."""
     there, missing = path.parent, None
     while True:
         try:
@@ -209,7 +209,7 @@ def _lock(fd: int, folder: Path, wait: Tell | None, how: int = fcntl.LOCK_EX) ->
 
 
 def _is_at(fd: int, path: Path) -> bool:
-    """Whether the open file is still the one of that name."""
+    """Whether the open file still has this name."""
     try:
         return os.path.samestat(os.fstat(fd), os.stat(path))
     except FileNotFoundError:
@@ -217,7 +217,7 @@ def _is_at(fd: int, path: Path) -> bool:
 
 
 def _check_ours(fd: int, path: Path) -> None:
-    """Refuse to write over what no holder of this lock has written."""
+    """Refuse to write over a file that no holder of this lock has written."""
     text = os.pread(fd, 4096, 0).decode("utf-8", "replace")
     if text and not SIGNED.fullmatch(text):
         raise ValueError(f"{path} holds something else than the name of a process: move it away, it is not a lock file")
@@ -245,7 +245,7 @@ def _holder(fd: int) -> str:
 
 
 def _release(fd: int, path: Path, process: int) -> None:
-    if os.getpid() == process:  # a forked child that ends must not release what its parent holds
+    if os.getpid() == process:  # a forked child that ends must not release its parent's locks
         with suppress(OSError):
             path.unlink()
     os.close(fd)

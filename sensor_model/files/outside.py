@@ -144,7 +144,7 @@ def _load(path: Path, content: bytes) -> None:
     loaded.__file__ = str(path.absolute())
     sys.modules[module] = loaded  # dataclasses and pickle look for it there
     try:
-        exec(compile(content, loaded.__file__, "exec"), vars(loaded))  # what was read is what runs
+        exec(compile(content, loaded.__file__, "exec"), vars(loaded))  # the code read is the code run
         plugin = _checked(vars(loaded).get("PLUGIN"))
     except Exception as error:
         del sys.modules[module]
@@ -169,7 +169,7 @@ def _of_file(path: Path, content: bytes) -> Origin:
 
 
 def environment(modules: Iterable[str] = ()) -> dict[str, str]:
-    """What a worker needs in its environment: the files by content, and the packages of these modules by theirs.
+    """Entries for a worker's environment: the files by content, and the packages of these modules by theirs.
 
     Raises:
         ValueError: If the files are too large for it.
@@ -187,7 +187,9 @@ def environment(modules: Iterable[str] = ()) -> dict[str, str]:
 
 
 def arrive() -> str | None:
-    """Load in a worker what its environment brings; returns why that cannot be, None if all is as it must be."""
+    """Load in a worker the plugins that its environment names; returns why that cannot be done, None if all is
+    right.
+    """
     given = json.loads(os.environ.get(VARIABLE, "{}"))
     for top, (origin, content) in given.get("packages", {}).items():
         here = origin_of(top)

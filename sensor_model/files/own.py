@@ -1,6 +1,6 @@
-"""Folders of this user alone: what they hold was put there by this user, so it may be believed, and compiled code run.
+"""Folders of this user alone: this user put their content there, so it may be believed, and compiled code run.
 
-A folder that somebody else owns, or can write to, holds whatever they like, under any name.
+A folder that somebody else owns, or can write to, may hold anything, under any name.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ def cache_folder(kind: str) -> Path:
 def own_folder(folder: Path) -> Path:
     """Make a folder that nobody else can write to, if it is not there.
 
-    One of this user's that others could write to is made anew: what it holds may be theirs.
+    A folder of this user's that others could write to is made anew: its content may be theirs.
 
     Raises:
         OSError: If it cannot be made, or somebody else's folder, a link or a file is in its place.
@@ -32,7 +32,7 @@ def own_folder(folder: Path) -> Path:
         shutil.rmtree(folder)
         folder.mkdir(0o700)
     if why := _why_not(folder.lstat()):
-        raise OSError(f"{folder} {why}, so what it holds could be somebody else's")
+        raise OSError(f"{folder} {why}, so its content could be somebody else's")
     return folder
 
 

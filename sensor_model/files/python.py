@@ -1,4 +1,4 @@
-"""Python processes of our own: what they can import is what this one can, without the folder that it was started in.
+"""Python processes of our own: they can import the same modules as this one, without the folder that it was started in.
 
 That folder is often a stranger's, and a file in it that is called `torch.py` or `signal.py` would run.
 """
@@ -17,10 +17,10 @@ def python(program: str, *arguments: str) -> list[str]:
     """The command that runs a program in a Python of its own.
 
     Args:
-        program: Its text; `sys.argv[1:]` are its arguments.
-        arguments: What it is given.
+        program: Its text.
+        arguments: `sys.argv[1:]` of the program.
     """
-    # -I: neither the working directory nor an entry of PYTHONPATH decides what is imported, while Python starts either,
+    # -I: neither the working directory nor an entry of PYTHONPATH decides about imports, while Python starts either,
     # and in the processes that this one starts in its turn. Python 3.10 has no -P, which does half of that. The other
     # variables of Python are unknown to it too: of these, how names of files are read must be the same on both sides.
     kept = ["-X", f"utf8={sys.flags.utf8_mode}", *(["-B"] if sys.dont_write_bytecode else [])]
@@ -29,7 +29,7 @@ def python(program: str, *arguments: str) -> list[str]:
 
 
 def import_path() -> list[str]:
-    """`sys.path` of this process without the working directory, by whatever name it stands there.
+    """`sys.path` of this process without the working directory, under any of its names.
 
     Where our own packages lie in the working directory, as in a checkout, they keep their place.
     """

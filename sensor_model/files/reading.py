@@ -1,4 +1,4 @@
-"""Files that people bring: whatever is wrong with one becomes one line that names it."""
+"""Files that people bring: any fault of one becomes one line that names it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ WORDS: dict[type[Exception], str] = {
 
 
 def brief(found: object, length: int = 300) -> str:
-    """What a file holds, or a library says of it, as one line of at most `length` characters that can be printed.
+    """Content of a file, or a library's words on it, as one printable line of at most `length` characters.
 
     Others, such as ESC, are shown as Python writes them: a terminal would obey them.
     """
@@ -28,7 +28,7 @@ def printable(text: str) -> str:
 
 
 def some(names: Sequence[str], most: int = 3) -> str:
-    """The first `most` names of a list for a message: one line, whatever they are."""
+    """The first `most` names of a list for a message: one line, for any names."""
     shown = [brief(name if name.isprintable() else repr(name), 200) for name in names[:most]]
     return ", ".join([*shown, "..."] if len(names) > most else shown)
 
@@ -38,7 +38,7 @@ def reading(path: str | os.PathLike[str], remedy: str = "correct it or put the o
     """Around everything that makes sense of a file's content: any failure becomes a ValueError that names the file.
 
     Args:
-        path: The file; a ValueError that names it already passes as it is.
+        path: The file; a ValueError that names it already passes unchanged.
         remedy: What the user can do.
 
     Raises:

@@ -6,7 +6,7 @@ A shape is
     str, bool, dict, list, None   a value of that type
     int, float                    a whole number below 2**63; a finite number, in floating point
     Numbers(3, 3)                 finite numbers in rows of that size
-    {"a": shape, "b?": shape}     an object with these entries, those with "?" optional; others are left alone
+    {"a": shape, "b?": shape}     an object with these entries; "?" marks optional ones; others are left alone
     {"*": shape}                  an object whose entries all have the shape
     [shape]                       a list of any length
     (shape, shape)                any of these
@@ -34,7 +34,7 @@ from typing import Any
 from sensor_model.files.door import TEXT, as_text, opened, stamp_of
 from sensor_model.files.reading import brief, reading
 
-DEPTH = 64  # of lists and objects in each other; deeper ones exhaust what walks through them
+DEPTH = 64  # of lists and objects in each other; deeper ones exhaust any code that walks through them
 WHOLE = 2**64  # whole numbers stay below it, as in every other language
 Shape = Any
 _WORDS: dict[Any, str] = {
@@ -52,10 +52,10 @@ class Numbers:
 
 @dataclass(frozen=True)
 class Read:
-    """A JSON file as it was when it was opened.
+    """A JSON file in its state when it was opened.
 
     Attributes:
-        value: What it holds. All readers share it, so none changes it.
+        value: Its content. All readers share it, so none changes it.
         hash: blake2b of its bytes.
         stamp: As `stamp_of` gave it.
     """
@@ -74,7 +74,7 @@ _reads: ContextVar[Reads | None] = ContextVar("reads", default=None)
 def read_once(reads: Reads) -> Iterator[Reads]:
     """While the block runs, a JSON file that `reads` holds is not opened again, and one that is opened is held there.
 
-    So what is checked, hashed and used are the same bytes, whoever writes to the file meanwhile.
+    So the same bytes are checked, hashed and used, whoever writes to the file meanwhile.
     """
     token = _reads.set(reads)
     try:
@@ -84,7 +84,7 @@ def read_once(reads: Reads) -> Iterator[Reads]:
 
 
 def read_already(path: Path) -> Read | None:
-    """What the block of `read_once` that runs now has read of a file; None: nothing."""
+    """The content of a file read in the running block of `read_once`; None: nothing."""
     reads = _reads.get()
     return None if reads is None else reads.get(os.path.abspath(path))
 
@@ -94,7 +94,7 @@ def read_record(path: Path, shape: Shape = dict, remedy: str = "correct it or pu
 
     Args:
         path: The file.
-        shape: What it must look like.
+        shape: The shape it must have.
         remedy: What the user can do about a file that does not.
 
     Raises:
@@ -140,7 +140,8 @@ def read_whole(
 def parse_json(
     text: str, where: str, remedy: str = "correct it or put the original back", *, infinite: bool = False
 ) -> Any:
-    """A value from JSON text, with what readers go wrong on refused: see `DEPTH`, `WHOLE`; NaN, infinity, equal keys.
+    """A value from JSON text, refusing values that readers go wrong on: see `DEPTH`, `WHOLE`; NaN, infinity, equal
+    keys.
 
     Args:
         text: The JSON.
@@ -208,7 +209,7 @@ def check_shape(value: Any, shape: Shape, where: str, remedy: str = "") -> None:
     """Refuse a value of another shape.
 
     Raises:
-        ValueError: Naming the place of the first difference, what must be there and what is.
+        ValueError: Naming the place of the first difference, the value required and the value found.
     """
     found = _difference(value, shape, "")
     if found is not None:

@@ -18,7 +18,7 @@ Row = TypeVar("Row")
 
 
 def loaded(reference: str) -> Any:
-    """What "module:NAME" stands for.
+    """The object named "module:NAME".
 
     Raises:
         ValueError: If the text is not of this form.
@@ -43,7 +43,7 @@ class Later:
 
 
 class Registry(MutableMapping[str, Row]):
-    """Rows by name, in order: ours, given as text, "module:NAME", or as they are, then rows from outside.
+    """Rows by name, in order: ours, given as text, "module:NAME", or as objects, then rows from outside.
 
     Args:
         rows: Ours.
@@ -96,7 +96,7 @@ class Registry(MutableMapping[str, Row]):
         return _UsableRows(self)
 
     def module_of(self, name: str) -> str | None:
-        """The module of a row; None of a row that was given as it is, or is not there."""
+        """The module of a row; None of a row that was given as an object, or is not there."""
         row = self._rows.get(name)
         if row is None and name in (more := self._outside()):
             return more[name].module

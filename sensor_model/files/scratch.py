@@ -1,4 +1,4 @@
-"""Temporary folders: what a killed process left of them, the next one that needs such a folder removes."""
+"""Temporary folders: the next process that needs one removes the leftovers of killed processes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ YOUNG = 60.0  # s; a folder that was made just now may not be locked yet
 def scratch(purpose: str) -> Iterator[Path]:
     """A folder of this process alone, in the system's place for temporary files; removed afterwards.
 
-    It is locked while it is in use, so that what a killed process left behind is known, in another container too.
+    It is locked while it is in use, so that leftovers of a killed process are known, in another container too.
 
     Args:
         purpose: Part of its name.

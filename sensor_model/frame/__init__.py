@@ -1,1 +1,1 @@
-"""What surrounds the pixel noise of one frame: random streams, fixed pattern, optics, charge that spreads."""
+"""The surroundings of the pixel noise of one frame: random streams, fixed pattern, optics, charge that spreads."""

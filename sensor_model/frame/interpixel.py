@@ -1,7 +1,7 @@
 """Analytic mean and variance of charge that reaches across pixels: blooming, and capacitive coupling.
 
-Charges are taken as normal, and what arrives in a pixel as independent of what it has collected itself. Arrays are
-[h, w, c], units e-, variances e-**2.
+Charges are taken as normal, and charge that arrives in a pixel as independent of its own. Arrays are [h, w, c], units
+e-, variances e-**2.
 """
 
 from __future__ import annotations
@@ -34,9 +34,12 @@ def held_moments(s: Sensor, mu: Array, shot: str) -> tuple[Array, Array]:
 
 
 def bloomed(mu: Array, variance: Array, mu_e_sat: float) -> tuple[Array, Array]:
-    """Moments of `effects.blooming`: an excess goes half down, half up, and what finds no room goes on."""
+    """Moments of `effects.blooming`: an excess goes half down, half up, and charge that finds no room goes on."""
     excess, excess_variance = positive_part(mu - mu_e_sat, variance)
-    total, spread = mu.copy(), variance.copy()  # what a pixel has collected and been given, before full well cuts it
+    total, spread = (
+        mu.copy(),
+        variance.copy(),
+    )  # charge collected by a pixel and given to it, before full well cuts it
     rows = range(mu.shape[0])
     for order in (rows, reversed(rows)):
         _pass_on(total, spread, excess / 2, excess_variance / 4, mu_e_sat, order)
@@ -53,7 +56,7 @@ def _pass_on(
         total[row] += moving
         spread[row] += uncertainty
         after, after_variance = positive_part(total[row] - mu_e_sat, spread[row])
-        # A full pixel adds half its own excess, one that is not keeps what fits
+        # A full pixel adds half its own excess, one that is not keeps charge up to its full well
         moving = after - before + half[row]
         uncertainty = np.maximum(after_variance - before_variance + half_variance[row], 0)
 

@@ -1,4 +1,4 @@
-"""What surrounds the pixel noise of one frame: optics, fixed pattern, row and column noise, black level."""
+"""The surroundings of the pixel noise of one frame: optics, fixed pattern, row and column noise, black level."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Prepared:
 def prepare(
     photons: NDArray, sensor: Sensor, exposure: Exposure, draws: streams.Draws, *, noise: bool = True
 ) -> Prepared:
-    """Everything but the noise of single pixels; `noise=False` also leaves out that of rows, columns and telegraphs."""
+    """Everything but the noise of single pixels; `noise=False` also leaves out row, column and telegraph noise."""
     s, light = sensor, on_sensor(as_channels(photons), sensor, exposure)
     draws.check_extent(light.shape)
     dark_e, where = s.dark_e(exposure), (light.shape, exposure.origin)
@@ -84,7 +84,7 @@ def on_sensor(light: NDArray, sensor: Sensor, exposure: Exposure) -> NDArray:
 def charge_cap(sensor: Sensor) -> float:
     """A mean charge so far over saturation that every frame is full; keeps bright light within the Poisson sampler."""
     if sensor.blooming and np.isfinite(sensor.mu_e_sat):
-        return streams.SIDE * sensor.mu_e_sat  # what does not fit goes elsewhere: enough to fill the longest column
+        return streams.SIDE * sensor.mu_e_sat  # the excess goes elsewhere: enough to fill the longest column
     s = sensor
     read = s.sigma_d * (s.defects.rts_factor if s.defects else 1) + (s.dual_gain.sigma_d if s.dual_gain else 0)
     noise = read + s.sigma_row + s.sigma_column + s.dsnu + (s.banding.amplitude if s.banding else 0)

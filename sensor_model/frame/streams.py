@@ -5,8 +5,8 @@ Philox 4x32-10 (Salmon et al., "Parallel random numbers: as easy as 1, 2, 3", SC
 even column takes the first half and its odd neighbour the second. Nothing is hashed, so two different draws never share
 a counter; no draw depends on another one, on the thread count, or on the size of the frame. Row blocks therefore need
 no alignment, and a crop, at any offset, equals the same crop of the whole; a colour filter array begins at the crop's
-own first pixel. What reaches across pixels (crosstalk, point spread, coupling, blooming) takes the border of the crop
-for that of the sensor.
+own first pixel. Effects that reach across pixels (crosstalk, point spread, coupling, blooming) take the border of the
+crop for the sensor's.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""The error that a render claims: the noise of its samples and what its plan leaves out, together and by brightness.
+"""The error that a render claims: the noise of its samples and the light its plan leaves out, together and by
+brightness.
 
 Noise is seen in the spread of independent passes. What every pass lacks is not: of that only the plan knows, from its
 pilots. Both are errors of pixels relative to a mean radiance, and add as squares: they are independent.
@@ -33,7 +34,7 @@ def noise_by_brightness(channels: dict[str, NDArray[Any]]) -> list[float]:
 
 
 def claimed(noise: float, quarters: list[float], made: TransportPlan) -> dict[str, Any]:
-    """What set.json says of a view: noise and what the plan leaves out, together; nan where a plan was not asked."""
+    """The errors of a view in set.json: noise and omitted light, together; nan where a plan was not asked."""
     whole, *parts = made.bias
     both = [math.hypot(n, b) for n, b in zip(quarters, parts, strict=True)]
     return {"relative_error": noise, "error": math.hypot(noise, whole), "noise_by_brightness": quarters,
@@ -41,17 +42,17 @@ def claimed(noise: float, quarters: list[float], made: TransportPlan) -> dict[st
 
 
 def noise_target(target: float, made: TransportPlan) -> float:
-    """The noise at which a view may stop, so that it and what is left out together stay below `target`.
+    """The noise at which a view may stop, so that noise and omitted light together stay below `target`.
 
-    Where what is left out takes more than half of the target's square, samples cannot pay for it: then the target is
-    that of the noise alone.
+    Where the omitted light takes more than half of the target's square, samples cannot pay for it: then the target
+    holds for the noise alone.
     """
     bias = made.bias[0]
     return math.sqrt(target**2 - bias**2) if bias <= SHARED * target else target
 
 
 def warnings_about(made: TransportPlan, target: float | None) -> list[str]:
-    """What must be said before hours are spent: light that is left out against the wish for a small error."""
+    """Warnings before hours are spent: light that is left out against the wish for a small error."""
     said = []
     if made.bound > made.tolerance:
         worst = max((e for e in made.effects if not e.on and e.unit == UNIT), key=lambda e: e.contribution)
@@ -78,6 +79,6 @@ def summary(views: dict[str, dict[str, Any]]) -> str:
     if any(map(math.isnan, errors)):
         dark = max(v["noise_by_brightness"][0] for v in views.values())
         return (
-            f"noise {worst['relative_error']:.2%} (what is left out was not asked), {dark:.2%} in the darkest quarter"
+            f"noise {worst['relative_error']:.2%} (omitted light was not measured), {dark:.2%} in the darkest quarter"
         )
     return f"error {max(errors):.2%} (noise {worst['relative_error']:.2%}), {dark:.2%} in the darkest quarter"

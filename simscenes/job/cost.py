@@ -1,4 +1,4 @@
-"""What a render costs: seconds per stage, predicted seconds, peak memory, versions behind the numbers."""
+"""The cost of a render: seconds per stage, predicted seconds, peak memory, versions behind the numbers."""
 
 from __future__ import annotations
 
@@ -44,14 +44,14 @@ def predict_seconds(
 
     With `target_error` from pilots of up to three of `views`, which keep them as their first samples: that costs
     nothing. Else from some pixels of the first view, at about 3 % of the job: they are timed on their second run, when
-    their kernel, which is that of the job, is compiled.
+    the kernel, which the job shares, is compiled.
     """
     numbers = sorted(views)
     if target_error is not None:
         chosen = sorted({numbers[0], numbers[len(views) // 2], numbers[-1]})
         each = [views[i].pilot.seconds * views[i].predict_spp(target_error) for i in chosen]
         return sum(each) / len(each) * len(views)
-    first = View(method, rig, numbers[0])  # a view of its own: those in `views` must not depend on the prediction
+    first = View(method, rig, numbers[0])  # a view of its own: `views` must not depend on the prediction
     return first.seconds(spp or 2, PART * len(views)) * len(views)
 
 
@@ -62,7 +62,7 @@ def peak_bytes() -> int:
 
 
 def versions() -> dict[str, str]:
-    """Versions of what the pixels depend on."""
+    """Versions of the packages that the pixels depend on."""
     return {p: importlib.metadata.version(p) for p in ("mitsuba", "drjit", "numpy")} | {
         "python": sys.version.split()[0]
     }

@@ -83,7 +83,7 @@ def settings_of(knob: str) -> tuple[tuple[Any, ...], Any]:
 
 
 def unit_of(knob: str) -> str:
-    """What the errors of a knob's settings are."""
+    """The kind of errors of a knob's settings."""
     return MISSING if knob == "max_depth" else NOISE
 
 
@@ -129,7 +129,7 @@ class Bench:
         return self._references[s.color]
 
     def render(self, s: Setting, i: int, seed: int) -> tuple[Image, float, float]:
-        """One view, its seconds and those of the processors; all sensors and kernels exist before they start."""
+        """One view, its wall and processor seconds; all sensors and kernels exist before the clocks start."""
         with self.ready(s) as (mi, loaded):
             for _ in range(2):  # the first time compiles the kernels
                 draw = self._prepared(mi, loaded, s, i, seed)
@@ -139,7 +139,7 @@ class Bench:
         return image, seconds, cpu
 
     def _prepared(self, mi: Any, loaded: LoadedScene, s: Setting, i: int, seed: int) -> Callable[[], Image]:
-        """What renders one view, sensors and integrators being there."""
+        """The function that renders one view, sensors and integrators being there."""
         if s.sampler != OWN:
             settings = sensor_dict(mi, self.rig, i, loaded) | {"sampler": {"type": s.sampler, "sample_count": s.spp}}
             sensor, method = mi.load_dict(settings), integrator(mi, s)

@@ -12,7 +12,7 @@ BELOW_WHITE = 0.97  # of all pixels, so that a lamp in view does not darken the 
 
 
 class RunningQuantile:
-    """`np.quantile` of values that come in parts, bit for bit; only what lies at or above it is kept.
+    """`np.quantile` of values that come in parts, bit for bit; only values at or above it are kept.
 
     Args:
         q: The quantile, 0..1.
@@ -40,5 +40,5 @@ class RunningQuantile:
 
 
 def exposure_scale(white: float) -> float:
-    """What linear values are multiplied by, if `white` is the level that becomes 1; 1 for a black set."""
+    """The factor on linear values, if `white` is the level that becomes 1; 1 for a black set."""
     return 1.0 / white if white > 0 else 1.0

@@ -1,7 +1,7 @@
 """The last step of a job: 8-bit images with one exposure for the set, sparse points, cameras.
 
-One view is in memory at a time. Light and depth of each go to disk uncompressed as soon as they are known (16 bytes a
-pixel, until the set is finished), so that no EXR file is decoded again; the exposure needs only the brightest pixels.
+One view is in memory at a time. Light and depth of each go to disk uncompressed at once (16 bytes a pixel, until the
+set is finished), so that no EXR file is decoded again; the exposure needs only the brightest pixels.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class ViewStore:
     Args:
         folder: An empty folder for them.
         rig: The cameras.
-        camera: As in `Optics`. What its filters see becomes linear sRGB again, for display only.
+        camera: As in `Optics`. The light behind its filters becomes linear sRGB again, for display only.
     """
 
     def __init__(self, folder: Path, rig: Rig, camera: str | None) -> None:
@@ -48,7 +48,7 @@ class ViewStore:
         self._white = RunningQuantile(BELOW_WHITE, len(rig) * rig.height * rig.width)
 
     def put(self, i: int, channels: dict[str, NDArray[Any]]) -> None:
-        """Keep what is needed of view `i`, once: R, G, B and Z, float32 [h,w]."""
+        """Keep the needed channels of view `i`, once: R, G, B and Z, float32 [h,w]."""
         light = np.stack([channels[c] for c in "RGB"], -1)
         if self.color is not None:
             light = light @ np.linalg.inv(self.color.matrix).T.astype(np.float32)
@@ -95,7 +95,7 @@ def view_store(out: Path, rig: Rig, camera: str | None) -> Iterator[ViewStore]:
 
 
 def _remove_stale(out: Path, names: list[str]) -> None:
-    """Remove what another set in this folder has left: pictures of more views, and its other layouts."""
+    """Remove files that another set in this folder has left: pictures of more views, and its other layouts."""
     for folder in (DEPTHS, *EXPORTS):
         remove(out / folder)
     for picture in (out / "images").glob("*.png"):
@@ -104,7 +104,9 @@ def _remove_stale(out: Path, names: list[str]) -> None:
 
 
 def finish_set(out: Path, names: list[str], rig: Rig, seed: int, views: ViewStore, scene: str) -> dict[str, Any]:
-    """Write what depends on all views together, and their depth; what set.json says about it."""
+    """Write the files that depend on all views together, and their depth; returns the entries of set.json about
+    them.
+    """
     scale = views.exposure_scale()
 
     def image(i: int) -> NDArray[np.uint8]:

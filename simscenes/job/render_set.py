@@ -48,8 +48,8 @@ LENS_FORMAT = 5  # of sets with depth of field; earlier ones are biased, since l
 MEASURE_FROM = 3 * 10**8
 ERROR_SEEN = (
     "relative_error is the spread between two or more independent passes: noise only; var.R/G/B is their variance over "
-    "3 x 3 pixels, 9 degrees of freedom from two passes. error adds what the plan leaves out, at most (left_out: the "
-    "whole picture, then its quarters by brightness, darkest first). Neither sees a caustic that no pass has found, "
+    "3 x 3 pixels, 9 degrees of freedom from two passes. error adds the light left out by the plan, at most (left_out: "
+    "the whole picture, then its quarters by brightness, darkest first). Neither sees a caustic that no pass found, "
     "nor spectra that RGB stands for; see plan."
 )
 
@@ -71,7 +71,7 @@ def render_set(
 ) -> MultiviewSet:
     """Render a scene into a set folder: radiance with variance, geometry, 8-bit images, cameras, sparse points.
 
-    A folder that already holds the same set is returned as it is; an interrupted render continues with the views that
+    A folder that already holds the same set is returned unchanged; an interrupted render continues with the views that
     are missing.
 
     Args:
@@ -80,8 +80,8 @@ def render_set(
         rig: Cameras; None for 32 views: of the scene's default rig at 128 x 128, or around a foreign scene's sensor.
         out: Folder to write.
         spp: Samples per pixel, rounded up to whole passes; 256 if neither this nor `target_error`.
-        target_error: Relative RMSE (noise and what the plan leaves out, over mean radiance) at which each view stops;
-            its samples then go where a short pilot saw noise, instead of evenly over all pixels.
+        target_error: Relative RMSE (noise and omitted light, over mean radiance) at which each view stops; its samples
+            then go where a short pilot saw noise, instead of evenly over all pixels.
         plan: A plan from `plan_transport`; "auto" to make one, measuring everything if the job is long; or "rgb" for
             plain path tracing to depth 64 without a plan.
         optics: Aperture, motion and colour filters; None for the lens of the scene's own sensor, at rest and seeing
@@ -157,7 +157,7 @@ def render_set(
 
 
 def _facts(job: Job, made: TransportPlan) -> dict[str, Any]:
-    """What set.json says besides the configuration and the results of the views."""
+    """Entries of set.json besides the configuration and the results of the views."""
     surfaces, rig = job.surfaces, job.rig
     return {
         "kind": "rendered", "n_views": len(rig), "width": rig.width, "height": rig.height,

@@ -1,4 +1,6 @@
-"""Sparse points on the true surface, with the views that see each: what structure from motion would have found."""
+"""Sparse points on the true surface, with the views that see each: the points that structure from motion would have
+found.
+"""
 
 from __future__ import annotations
 

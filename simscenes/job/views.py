@@ -1,4 +1,4 @@
-"""The views of a job, one after the other: those that an earlier call finished are kept, the rest are rendered."""
+"""The views of a job, one after the other: finished views of an earlier call are kept, the rest are rendered."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from simscenes.sets.pictures.exr import write_exr
 from simscenes.sets.writers.camera_files import write_json
 from simscenes.transport.plan import TransportPlan
 
-QUARTERS = "noise by brightness"  # beside what a header holds; not in the file, since it follows from the pixels
+QUARTERS = "noise by brightness"  # beside the header's entries; not in the file, since it follows from the pixels
 Progress = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True)
 class Job:
-    """What every view of one call shares."""
+    """The data that all views of one call share."""
 
     method: Method
     plan: TransportPlan
@@ -45,7 +45,7 @@ class Job:
 
 
 def render_views(job: Job) -> tuple[dict[str, Any], float]:
-    """Render what is missing: samples, error and fireflies of every view, and the seconds predicted beforehand."""
+    """Render the missing views: samples, error and fireflies of every view, and the seconds predicted beforehand."""
     (job.out / "gt").mkdir(parents=True, exist_ok=True)
     paths = [job.out / "gt" / f"{name}.exr" for name in job.names]
     for stale in set((job.out / "gt").glob("[0-9]*.exr")) - set(paths):  # of a larger set; other files are not ours
@@ -102,7 +102,7 @@ def _render_view(job: Job, view: View, path: Path, key: str, tick: Tick) -> dict
     for k, c in enumerate("RGB"):
         channels[c] = np.maximum(radiance.mean[..., k], 0)  # clips spectral light that lies outside the sRGB triangle
         channels[f"var.{c}"] = radiance.variance[..., k]
-    error = float(np.float32(radiance.error))  # as the header keeps it: a render that was resumed reports what it reads
+    error = float(np.float32(radiance.error))  # as the header keeps it: a resumed render reports the value it reads
     header = {
         "spp": radiance.spp, "relativeError": error, "fireflies": radiance.fireflies, VIEW_KEY: key,
         "worldToCamera": job.rig.viewmats[view.i].astype(np.float32),

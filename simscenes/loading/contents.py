@@ -1,4 +1,4 @@
-"""What a loaded scene holds, including what only its instances show."""
+"""The objects of a loaded scene, including parts that only its instances show."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def patterned_sky(scene: Any) -> bool:
 
 
 def parameters_in(scene: Any, mi: Any) -> dict[str, Any]:
-    """What `mi.traverse` finds in a loaded scene, by name, without optional parameters that are not set.
+    """The parameters that `mi.traverse` finds in a loaded scene, by name, without optional parameters that are not set.
 
     A hair without its own absorption has such a one, and Mitsuba fails to read it.
     """
@@ -45,7 +45,7 @@ def parameters_in(scene: Any, mi: Any) -> dict[str, Any]:
 
 
 def surfaces_in(scene: Any, mi: Any) -> list[Any]:
-    """The shapes that rays hit: those of the scene, then those of its groups, which its instances repeat.
+    """The shapes that rays hit: first the scene's own, then the shapes of its groups, which its instances repeat.
 
     Instances and groups have materials too, but Mitsuba invents these, and no ray hits them.
     """

@@ -20,7 +20,7 @@ def content_digest(description: dict[str, Any] | tuple[Path, ...], params: Any) 
 
     Args:
         description: A scene dict, or the files that make up an XML scene, in order.
-        params: What `mi.traverse` finds in the loaded scene.
+        params: The parameters that `mi.traverse` finds in the loaded scene.
     """
     digest = hashlib.sha256()
     if isinstance(description, dict):

@@ -1,4 +1,4 @@
-"""The integrator that a scene brings along: what of it is kept for our renders, and what is not."""
+"""The integrator that a scene brings along: the settings that our renders keep, and the others."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ KEPT = ("max_depth", "rr_depth", "hide_emitters")
 
 @dataclass(frozen=True)
 class OwnIntegrator:
-    """What a scene's own integrator asks for.
+    """The settings of a scene's own integrator.
 
     Attributes:
         kind: Its type.
         max_depth: Longest path, as Mitsuba counts; None where it sets no end.
         rr_depth: Path length from which Russian roulette may end a path; None where it does not say.
         hide_emitters: Whether cameras look through lamps, and skies are black.
-        lost: What is not kept, as words.
+        lost: Settings that are not kept, as words.
     """
 
     kind: str
@@ -36,14 +36,14 @@ class OwnIntegrator:
 
     @property
     def note(self) -> str:
-        """One line on what is not kept; "" if all is."""
+        """One line on the settings that are not kept; "" if all are."""
         if not self.lost:
             return ""
         return f"of the scene's own integrator these are not kept: {', '.join(self.lost)}; the plan chooses instead"
 
 
 def own_integrator(found: Iterable[tuple[str, Mapping[str, Any]]]) -> OwnIntegrator | None:
-    """What the first integrator among some plugins asks for, from (type, parameters) in the order of the scene."""
+    """The settings of the first integrator among some plugins, from (type, parameters) in the order of the scene."""
     kinds = (*PATHS, *AROUND, *OTHERS)
     plugins = [(kind, parameters) for kind, parameters in found if kind in kinds]
     lost = [f"type {kind!r}" for kind, _ in plugins if kind not in PATHS]
@@ -52,9 +52,9 @@ def own_integrator(found: Iterable[tuple[str, Mapping[str, Any]]]) -> OwnIntegra
         return None
     depth, start = _whole(chosen.get("max_depth")), _whole(chosen.get("rr_depth"))
     if kind == "direct":
-        depth = 2  # lamps, and what they light
+        depth = 2  # lamps, and surfaces they light
     if depth is not None and 0 <= depth < 2:
-        lost.append(f"max_depth {depth} (2, lamps and what they light, is the least)")
+        lost.append(f"max_depth {depth} (2, lamps and surfaces they light, is the least)")
         depth = 2
     lost += [f"{name} {chosen[name]}" for name in COUNTS if name in chosen]
     end = None if depth is None or not 0 <= depth <= ENDLESS else depth

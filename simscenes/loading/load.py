@@ -43,7 +43,7 @@ class LoadedScene:
         shapes: Names of the shapes and instances (see `shape_names`); the id of a pixel is 1 + the index in this list.
         materials: Names of the materials, likewise; those within instances too.
         extent: Diagonal of the bounding box, scene units.
-        integrator: What the scene's own integrator asks for; None if it has none.
+        integrator: The settings of the scene's own integrator; None if it has none.
         sensor: Which of the scene's own sensors counts, from 0.
         rgb_alone: Spectral variants would load it, and fail to render it.
         demand: Why fewer colours cannot load it, in Mitsuba's words; "" for a scene that RGB can.
@@ -63,7 +63,7 @@ class LoadedScene:
 
     @property
     def own_sensor(self) -> Any:
-        """That of the scene's own sensors that counts; None if it has none."""
+        """The scene's own sensor in use; None if the scene has none."""
         sensors = self.scene.sensors()
         return sensors[self.sensor] if self.sensor < len(sensors) else None
 
@@ -123,7 +123,7 @@ def load_here(source: SceneRef, mi: Any, *, allow_outside: bool = False) -> Load
     name = source.name
     try:
         loaded, description = _load(source, mi, allow_outside)
-    except (RuntimeError, TypeError, KeyError, AttributeError) as error:  # what Mitsuba and its bindings raise
+    except (RuntimeError, TypeError, KeyError, AttributeError) as error:  # exceptions of Mitsuba and its bindings
         raise ValueError(f"scene {name!r} cannot be loaded: {brief(error, 600)}{_hint(str(error), source)}") from error
     if not isinstance(loaded, mi.Scene) or len(loaded.shapes()) == 0:
         raise ValueError(f"scene {name!r} has no shapes: there is nothing to see")
@@ -160,7 +160,7 @@ def load_here(source: SceneRef, mi: Any, *, allow_outside: bool = False) -> Load
 
 
 def _hint(said: str, source: SceneRef) -> str:
-    """What Mitsuba's words leave out."""
+    """Advice that Mitsuba's words leave out."""
     if missing := re.search(r"undefined parameter: \$([\w.-]+)", said):
         return f" (give it a value: -D {missing[1]}=VALUE)"
     if source.path is not None and OLD.search(read_bytes(source.path)[:4096]):
@@ -177,7 +177,7 @@ def _own_integrator(source: SceneRef, mi: Any, allow_outside: bool) -> OwnIntegr
 
 
 def _load(source: SceneRef, mi: Any, allow_outside: bool) -> tuple[Any, Any]:
-    """The Mitsuba scene, and what it was made of: files or a dict."""
+    """The Mitsuba scene, and its source: files or a dict."""
     if source.path is not None:
         return _load_xml(source.path, dict(source.parameters), mi, allow_outside)
     return _load_dict(build(source.name) if source.description is None else source.description, mi)
@@ -217,7 +217,7 @@ def set_light_weights(loaded: LoadedScene, weights: tuple[float, ...], mi: Any) 
     """Let the scene pick its lights in proportion to `weights`, one per light; () leaves them alone.
 
     Raises:
-        ValueError: If the number of weights differs from that of the lights.
+        ValueError: If weights and lights differ in number.
     """
     lights = loaded.scene.emitters()
     if weights and len(weights) != len(lights):

@@ -1,4 +1,4 @@
-"""Names for what a scene holds: the ids of a file, and something to tell apart what has none."""
+"""Names for the objects of a scene: the ids of a file, and made-up names to tell apart objects without an id."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ def shape_names(shapes: Iterable[Any]) -> tuple[str, ...]:
 
 
 def _given(shape: Any) -> tuple[str, bool]:
-    """What a shape would like to be called, and whether its scene calls it so."""
+    """The preferred name of a shape, and whether its scene gives it."""
     if (own := shape.id()) and not own.startswith("_unnamed"):
         return own, True
-    # Mitsuba keeps the name of a mesh's file nowhere but in what it prints.
+    # Mitsuba keeps the name of a mesh's file nowhere but in its printed description.
     file = re.search(r'^\s*name = "(.+)"', str(shape), re.MULTILINE)
     return (Path(file.group(1)).stem if file else shape.class_name()), False

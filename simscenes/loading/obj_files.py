@@ -1,7 +1,7 @@
 """OBJ meshes that Mitsuba 3.9 misreads: corners without a texture coordinate or a normal, and indices from the end.
 
-Its reader allocates a value for every vertex as soon as the file has a single `vt` or `vn`, and fills in only what a
-corner names. What memory held before then bends normals, moves textures and changes from run to run.
+Its reader allocates a value for every vertex as soon as the file has a single `vt` or `vn`, and fills in only the
+values that a corner names. Old content of the memory then bends normals, moves textures and changes from run to run.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def completed(files: Sequence[Path]) -> Iterator[Path]:
     values that no corner names are dropped. A warning says so.
 
     Args:
-        files: The scene file and those that it names, absolute. OBJ files outside its folder are left alone.
+        files: The scene file and the files it names, absolute. OBJ files outside its folder are left alone.
     """
     scene, root = files[0], files[0].parent
     with TemporaryDirectory(prefix="novags-obj-") as temporary:
@@ -42,7 +42,7 @@ def completed(files: Sequence[Path]) -> Iterator[Path]:
                     _write(folder / scene.name, read_bytes(scene))
                     warnings.warn(
                         f"mesh file {file}: not every corner of its faces names a normal and a texture coordinate, or "
-                        "some are counted from the end; normals that are missing become those of the face, texture "
+                        "some are counted from the end; missing normals become the normal of the face, texture "
                         "coordinates 0",
                         stacklevel=2,
                     )
@@ -55,12 +55,14 @@ def _write(path: Path, content: bytes) -> None:
 
 
 def complete(content: bytes) -> bytes:
-    """An OBJ file in which every corner names what the file has values of; the very same object if it is so already."""
+    """An OBJ file in which every corner names all kinds of values in the file; the very same object if it is so
+    already.
+    """
     has = [bool(re.search(rb"^[ \t]*" + name + rb"[ \t]", content, re.MULTILINE)) for name in LISTS]
     if _is_complete(content, has[1], has[2]):
         return content
     lists: dict[bytes, list[bytes]] = {name: [] for name in LISTS}
-    rest: list[list[list[int]] | bytes] = []  # faces by their corners, other lines as they are
+    rest: list[list[list[int]] | bytes] = []  # faces by their corners, other lines unchanged
     for line in content.splitlines():
         words = line.split(b"#", 1)[0].split()
         if words and words[0] in lists:

@@ -23,7 +23,7 @@ class SceneRef:
         name: Catalogue name with its seed ("tabletop:3"), stem of the file, or "custom".
         path: The Mitsuba XML file, or None.
         description: The Mitsuba dict, or None.
-        parameters: What a file's $names stand for, (name, value), instead of its <default>s.
+        parameters: Values of a file's $names, (name, value), instead of its <default>s.
         sensor: Which of the scene's own sensors counts, from 0.
     """
 
@@ -36,7 +36,7 @@ class SceneRef:
 
     @classmethod
     def of(cls, scene: SceneLike | SceneRef) -> SceneRef:
-        """What is meant by a name from `SCENES` ("tabletop:3" for variation 3), a dict, a path or a text in .xml.
+        """The scene behind a name from `SCENES` ("tabletop:3" for variation 3), a dict, a path or a text in .xml.
 
         Raises:
             ValueError: If a name is not in the catalogue, or the scene is neither a name, a dict nor a file. Files

@@ -1,7 +1,7 @@
-"""Cameras for a scene that comes with one sensor: an arc around what that sensor sees, in the space that is free.
+"""Cameras for a scene that comes with one sensor: an arc around that sensor's target, in the free space.
 
-Rays decide what is free, not a bounding box: a new camera can be reached from the sensor in a straight line, keeps
-clear of surfaces, and sees most of what it should see, which it would not from outside a room.
+Rays find the free space, not a bounding box. A new camera can be reached from the sensor in a straight line, keeps
+clear of surfaces, and sees most of its target, which it would not from outside a room.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from simscenes.scenes import default_rig
 
 Float = NDArray[np.float64]
 CLEARANCE = 0.05  # of the distance to the target: nearer things would fill a new camera's image
-GRID = 48  # rays across the sensor's image that find what it sees
+GRID = 48  # rays across the sensor's image that find its surfaces
 SEEN = 0.8  # of the things near the sensor's centre that each camera must see, and of its image that the sensor sees
-PROBE = 16  # rays across the image of a new camera that find what it shows
-BACKDROP = 2.0  # times the target's distance: what is farther leaves the image as the camera turns about the target
+PROBE = 16  # rays across the image of a new camera that find its surfaces
+BACKDROP = 2.0  # times the target's distance: farther things leave the image as the camera turns about the target
 NARROWINGS = 0.8 ** np.arange(24)  # of the arc, until all of its cameras are free: down to 0.6 %
 
 
@@ -38,10 +38,10 @@ def fit_rig(
     swing_deg: float = 10.0,
     allow_outside: bool = False,
 ) -> Rig:
-    """Cameras on an arc around what a scene's own sensor sees, in the space that is free around it.
+    """Cameras on an arc around the target of a scene's own sensor, in the free space around it.
 
     The target lies on the sensor's axis, as far away as the things near its centre; the arc turns about the sensor's
-    own up axis. If a camera would end up behind or within a surface, or lose sight of what the sensor sees (as it does
+    own up axis. If a camera would end up behind or within a surface, or lose sight of the sensor's target (as it does
     where it leaves a room), the whole arc is narrowed until none does.
 
     Args:
@@ -123,7 +123,7 @@ def _seen(loaded: LoadedScene, mi: Any, own: Rig) -> Float:
 
 
 def _middle_distance(distances: Float) -> float:
-    """Median distance, weighted by squared disparity: that of things, not of the sky or the dome behind them.
+    """Median distance, weighted by squared disparity: the distance of things, not of the sky or the dome behind them.
 
     A plain median of a small thing before a far backdrop is the backdrop's distance, and cameras would circle that.
     """
@@ -170,7 +170,7 @@ def _see(loaded: LoadedScene, mi: Any, rig: Rig, points: Float) -> bool:
 
 
 def _share_space(loaded: LoadedScene, mi: Any, rig: Rig, own: Rig) -> bool:
-    """Whether most of what each view shows can be seen from where the sensor is, and little more of it is empty."""
+    """Whether most of each view's surfaces can be seen from the sensor's place, and little more of it is empty."""
     rays = [pixel_rays(shrunk(r, i, PROBE), 0) for r in (own, rig) for i in range(len(r))]
     origins = np.repeat([origin for origin, _ in rays], PROBE**2, 0)
     directions = np.concatenate([d for _, d in rays])

@@ -18,14 +18,14 @@ from simscenes.rigs import Rig, mitsuba_to_intrinsics, mitsuba_to_opencv
 
 Float = NDArray[np.float64]
 WHY_NOT = {  # of the sensors that have no pinhole camera's rays
-    "OrthographicCamera": " (its rays are parallel, those of our cameras meet in a point)",
+    "OrthographicCamera": " (its rays are parallel, the rays of our cameras meet in a point)",
     "DistantSensorImpl": " (it measures light that leaves the scene, and takes no picture)",
     "IrradianceMeter": " (it measures light on a surface, and takes no picture)",
     "RadianceMeter": " (it measures a single ray, and takes no picture)",
     "BatchSensor": " (name the sensors within it one by one)",
 }
 MAX_PIXELS = 1 << 26  # an untrusted file must not ask for all memory
-GRID = 32  # rays across a sensor's image that find what its clip planes hide
+GRID = 32  # rays across a sensor's image that find surfaces hidden by its clip planes
 
 
 def own_rig(loaded: LoadedScene, mi: Any, width: int | None = None, height: int | None = None) -> Rig:
@@ -93,8 +93,8 @@ def own_cameras(
 ) -> Rig:
     """All of a scene's own sensors as a rig, in the order of the scene.
 
-    A warning says where the shape of a film differs from that of the pictures: the horizontal field of view is kept,
-    so more or less is seen above and below.
+    A warning says where a film and the pictures differ in shape: the horizontal field of view is kept, so more or less
+    is seen above and below.
 
     Args:
         scene: As for `fit_rig`.
@@ -153,7 +153,8 @@ def _lens(sensor: Any, mi: Any) -> tuple[float, float] | None:
 def with_lens(asked: Optics | None, loaded: LoadedScene, mi: Any) -> Optics:
     """The requested optics, with the lens of the scene's own sensor where none is given; a pinhole has none.
 
-    A thin lens keeps its focus distance for all cameras of a rig: those of `fit_rig` stay as far from what they see.
+    A thin lens keeps its focus distance for all cameras of a rig: cameras of `fit_rig` keep their distance to the
+    target.
     """
     asked = asked or Optics()
     if asked.aperture_radius == 0:
@@ -177,7 +178,9 @@ def _film_intrinsics(params: Any, film: Any) -> Float:
 
 
 def opened(scene: SceneLike | SceneRef | LoadedScene, allow_outside: bool) -> LoadedScene:
-    """The scene in a variant with as few colours as it can be loaded in; one that is loaded already as it is."""
+    """The scene in a variant with as few colours as it can be loaded in; a scene that is loaded already stays
+    unchanged.
+    """
     if isinstance(scene, LoadedScene):
         return scene
     return build_in_fewest_colors(scene, backend_of(), allow_outside=allow_outside)

@@ -1,9 +1,9 @@
-"""What the ray through each pixel centre hits: depth, normals, albedo, ids.
+"""The surface that the ray through each pixel centre hits: depth, normals, albedo, ids.
 
 Mitsuba's AOVs are not used: their depth starts at the near plane, they average over the pixel, and their ids are
 process-wide numbers blended at edges.
 
-A ray goes through what a picture shows nothing of: boundaries of media, surfaces where their opacity is below one half,
+A ray goes through surfaces that no picture shows: boundaries of media, surfaces where their opacity is below one half,
 and lamps where the scene's integrator hides them. Sheets of glass are surfaces.
 """
 
@@ -21,7 +21,7 @@ from simscenes.render.wavefront import from_numpy
 from simscenes.rigs import Rig, invert_rigid
 
 MAX_PASSED = 64  # surfaces that a ray goes through: leaves beside their cut-out, hidden lamps, boundaries of fog
-CLEAR = 0.5  # share of the light that goes straight through, from which on a pixel sees what lies behind
+CLEAR = 0.5  # share of the light that goes straight through, from which on a pixel sees the surface behind
 
 Channels = dict[str, NDArray[Any]]
 
@@ -40,8 +40,8 @@ def geometry_channels(mi: Any, loaded: LoadedScene, rig: Rig, i: int) -> Channel
 
     Returns:
         Z and distance (float32), N.X/Y/Z (shading) and Ng.X/Y/Z (geometric) unit normals in the world, facing the
-        camera, albedo.R/G/B (what the surface reflects diffusely), id and material (uint32). Pixels without a surface
-        have an infinite Z and distance, and 0 in all other channels.
+        camera, albedo.R/G/B (diffuse reflectance), id and material (uint32). Pixels without a surface have an infinite
+        Z and distance, and 0 in all other channels.
     """
     origin, directions = pixel_rays(rig, i)
     find = _intersect_scalar if mi.variant().startswith("scalar") else _intersect_wide
@@ -72,7 +72,7 @@ def check_cameras(mi: Any, loaded: LoadedScene, rig: Rig) -> None:
     """Refuse cameras inside an opaque object, whose picture would be black without explanation.
 
     Raises:
-        ValueError: If most of what a view sees are the unlit backs of one-sided surfaces.
+        ValueError: If a view sees mostly the unlit backs of one-sided surfaces.
     """
     sides = [s.bsdf().flags() & int(mi.BSDFFlags.BackSide) for s in unique_materials(loaded.scene, mi)]
     one_sided = np.array([False, *(not back for back in sides)])
@@ -108,7 +108,7 @@ def first_surfaces(mi: Any, loaded: LoadedScene, origin: NDArray[Any], direction
     scene, hidden, holes = loaded.scene, hides_lamps(loaded), _materials_with_holes(mi, loaded)
     si = scene.ray_intersect(ray)
     for _ in range(MAX_PASSED):
-        dr.eval(ray, si)  # together: gathering from what is not would compile a kernel for each of its fields
+        dr.eval(ray, si)  # together: gathering from unevaluated arrays would compile a kernel for each field
         bsdf = si.bsdf(ray)
         through = (bsdf.flags() & int(mi.BSDFFlags.All)) == int(mi.BSDFFlags.Null)
         if holes.any():
@@ -130,7 +130,7 @@ def hides_lamps(loaded: LoadedScene) -> bool:
 
 
 def _has_holes(mi: Any, bsdf: Any) -> bool:
-    """Whether a material may show what lies behind it, such as a leaf on a card; sheets of glass are surfaces."""
+    """Whether a material may show surfaces behind it, such as a leaf on a card; sheets of glass are surfaces."""
     lobes, null = bsdf.flags() & int(mi.BSDFFlags.All), int(mi.BSDFFlags.Null)
     return bool(lobes & null) and lobes != null and class_of(bsdf) != "ThinDielectric"
 
@@ -186,12 +186,12 @@ def _albedo(mi: Any, ray: Any, si: Any) -> NDArray[np.float64]:
 
 
 def _unpolarized(mi: Any, spectrum: Any) -> Any:
-    """What unpolarised light sees of a Mueller matrix; a spectrum as it is."""
+    """The factor of a Mueller matrix for unpolarised light; a spectrum unchanged."""
     return mi.unpolarized_spectrum(spectrum) if mi.is_polarized else spectrum
 
 
 def _daylight_groups() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Wavelengths in groups of four, [g,4], and what the reflectance at each adds to linear sRGB, [g,4,3]."""
+    """Wavelengths in groups of four, [g,4], and the share of the reflectance at each in linear sRGB, [g,4,3]."""
     chosen = slice(0, 80, 2)
     seen = daylight()[chosen, None] * srgb_curves()[chosen]
     return WAVELENGTHS[chosen].reshape(-1, 4), (seen / seen.sum(0)).reshape(-1, 4, 3)

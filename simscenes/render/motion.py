@@ -41,7 +41,7 @@ def subframe_rig(rig: Rig, i: int, motion: float, count: int) -> Rig:
 
 
 def image_motion(geometry: list[dict[str, Any]], rig: Rig, small: Rig, motion: float, sky: bool) -> float:
-    """Distance that what is seen travels over the small images during an exposure, 95th percentile, pixels.
+    """Distance that visible points travel over the small images during an exposure, 95th percentile, pixels.
 
     Args:
         geometry: Channels of the small views.

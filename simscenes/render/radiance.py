@@ -89,8 +89,8 @@ class View:
     def render(self, spp: int | None, target_error: float | None, tick: Tick = lambda part: None) -> Radiance:
         """Render with `spp` samples in every pixel, or until the relative RMSE of the view is `target_error`.
 
-        The error seen is the difference between two independent halves of the samples: noise only. It cannot see what
-        both lack, such as light beyond the maximal path depth, or a caustic that neither has found yet.
+        The error seen is the difference between two independent halves of the samples: noise only. It cannot see light
+        that both lack, such as light beyond the maximal path depth, or a caustic that neither has found yet.
 
         Towards a target, samples go where the first of them saw noise (see `simscenes.render.sequences`).
 
@@ -212,7 +212,7 @@ class View:
 
     @cached_property
     def pilot(self) -> Pilot:
-        """What the first samples of a view towards a target say about the others; they count among them."""
+        """The forecast of the first samples of a view towards a target for the others; they count among them."""
         s, start = self.samples, time.perf_counter()
         with compilation() as seconds:  # these samples are kept, and not drawn a second time to time them
             self._draw(s.even(PILOT_SPP))

@@ -43,7 +43,7 @@ def sampler_class(mi: Any, variant: str) -> Any:
     """`Sobol`, a Mitsuba sampler for this variant, which must be the active one and have wavefronts.
 
     Made for the lanes of a wavefront, each with its pixel, a seed, and the index of a point in the sequence that the
-    pixel has under this seed (all of 32 bits). Of the dimensions drawn, the two of the film and those of the first
+    pixel has under this seed (all of 32 bits). Of the dimensions drawn, the two of the film and the two of the first
     light are one set of four; so are, from then on, each new direction and the light sampled where it leads, in the
     order in which Mitsuba's path tracer asks for them. All other sets are shuffled against each other.
     """
@@ -53,7 +53,7 @@ def sampler_class(mi: Any, variant: str) -> Any:
     assert mi.variant() == variant, f"the active variant is {mi.variant()}, not {variant}"
 
     def mixed(x: Any) -> Any:
-        """A hash of 32 bits; the constants are those of Wellons' `lowbias32`."""
+        """A hash of 32 bits with the constants of Wellons' `lowbias32`."""
         x = (x ^ (x >> 16)) * u32(0x7FEB352D)
         x = (x ^ (x >> 15)) * u32(0x846CA68B)
         return x ^ (x >> 16)
@@ -111,7 +111,7 @@ def sampler_class(mi: Any, variant: str) -> Any:
             return self.next_2d()
 
         def begin_path(self) -> None:
-            """Whatever the camera needed: what comes next belongs to the first surface."""
+            """End the camera's dimensions: the next ones belong to the first surface."""
             self.drawn = u32(1)
 
         def _seed(self, number: Any) -> Any:

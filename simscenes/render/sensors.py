@@ -15,7 +15,7 @@ from simscenes.rigs import Rig, intrinsics_to_mitsuba, opencv_to_mitsuba
 
 PINHOLE = Optics()
 MAX_INTERFACES = 64
-NEAR, FAR = 1e-9, 1e2  # clip planes, in extents: a ground of 20,000 units must not hide what stands before the camera
+NEAR, FAR = 1e-9, 1e2  # clip planes, in extents: a ground of 20,000 units must not hide things in front of the camera
 
 
 def sensor_dict(mi: Any, rig: Rig, i: int, loaded: LoadedScene, optics: Optics = PINHOLE) -> dict[str, Any]:
@@ -64,7 +64,7 @@ def medium_at(mi: Any, loaded: LoadedScene, position: NDArray[np.float64]) -> An
     """The medium around a point, or None: Mitsuba has to know that a camera is in fog.
 
     The first boundary of a medium along +z tells. A ray that meets no boundary is followed by one towards the scene's
-    own sensor; if that meets no boundary either, both places are in the same medium, that of the sensor.
+    own sensor; if that meets no boundary either, both places are in the medium of the sensor.
     """
     if not media_in(loaded.scene, mi):
         return None

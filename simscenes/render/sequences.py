@@ -29,7 +29,7 @@ class Radiance:
             and in sum for the view. It has up to 9 degrees of freedom in each pixel.
         spp: Samples per pixel behind `mean`, on average over the view.
         error: Relative RMSE: root of the mean variance over the mean radiance.
-        fireflies: Pixels whose variance is far above that of their neighbourhood: rare bright paths.
+        fireflies: Pixels whose variance is far above their neighbourhood's: rare bright paths.
     """
 
     mean: NDArray[np.float32]
@@ -42,10 +42,11 @@ class Radiance:
 def sample_shares(variance: NDArray[np.float64]) -> NDArray[np.float64]:
     """Share of the samples that each pixel [h,w] of this variance should get, 1 on average.
 
-    The error of the whole view is least with shares in proportion to the standard deviation. That of a pixel is taken
-    from those around it, without its own, and no pixel gets less than about `LEAST` of an even share. The width of the
-    neighbourhood is the one with the least variance of the view, which is computed from each pixel's own variance, on
-    which its share does not depend: noise that neighbours do not predict is left to even shares.
+    The error of the whole view is least with shares in proportion to the standard deviation. A pixel's standard
+    deviation is taken from the pixels around it, without its own, and no pixel gets less than about `LEAST` of an even
+    share. The width of the neighbourhood is chosen for the least variance of the view. That variance is computed from
+    each pixel's own variance, on which its share does not depend: noise that neighbours do not predict is left to even
+    shares.
     """
     choices = [np.ones_like(variance), *(_shares_around(variance, width) for width in AROUND)]
     return min(choices, key=lambda shares: float((variance / shares).mean()))

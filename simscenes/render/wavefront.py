@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from simscenes.render.sampler import sampler_class
 
 MAX_WAVEFRONT = 1 << 22  # samples traced at once; bounds the memory to some 200 MB
-FOOTPRINT = 1 / 8  # of a pixel: neighbouring samples, not pixels, bound what a texture lookup covers
+FOOTPRINT = 1 / 8  # of a pixel: neighbouring samples, not pixels, bound the area of a texture lookup
 
 
 def from_numpy(kind: Any, values: NDArray[Any]) -> Any:
@@ -68,7 +68,7 @@ def sample_sums(
         part: Of the width of a pixel, its middle, where samples fall.
 
     Yields:
-        Which pixels, and [seeds, their number, 3] of what the film's channels would hold, summed over the samples.
+        Which pixels, and [seeds, their number, 3] of the film's channels, summed over the samples.
     """
     ends, start = len(seeds) * np.cumsum(more), 0
     while start < len(more):
@@ -98,7 +98,7 @@ def _trace(
         return sums.reshape(len(seeds), pixels, 3)
     film, count = sensor.film(), int(more.sum())
     entry = from_numpy(mi.UInt32, np.repeat(np.arange(len(more), dtype=np.uint32), more))
-    # Number in the sequence minus that of the lane: it may wrap around below zero, and their sum then wraps back.
+    # Number in the sequence minus number of the lane: it may wrap around below zero, and their sum then wraps back.
     offset = dr.gather(mi.UInt32, mi.UInt32((first - begins).astype(np.uint32)), entry)
     sequence = entry // dr.opaque(mi.UInt32, pixels)
     pixel = entry - sequence * dr.opaque(mi.UInt32, pixels) + dr.opaque(mi.UInt32, start)
@@ -115,7 +115,7 @@ def _trace(
 
 
 def camera_rays(mi: Any, sensor: Any, sampler: Any, pixel: Any, part: float = 1.0) -> tuple[Any, Any]:
-    """A ray through a random place in each pixel, and its weight; what the sampler draws next belongs to the path."""
+    """A ray through a random place in each pixel, and its weight; the sampler's next numbers belong to the path."""
     import drjit as dr
 
     width, height = (int(n) for n in sensor.film().crop_size())
@@ -132,7 +132,7 @@ def camera_rays(mi: Any, sensor: Any, sampler: Any, pixel: Any, part: float = 1.
 
 
 def _channels(mi: Any, film: Any, spectrum: Any, wavelengths: Any) -> list[Any]:
-    """What the film would store for each sample."""
+    """The film's values for each sample."""
     if mi.is_polarized:
         spectrum = mi.unpolarized_spectrum(spectrum)
     if mi.has_flag(film.flags(), mi.FilmFlags.Special):

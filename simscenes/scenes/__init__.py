@@ -61,7 +61,7 @@ def canonical_name(name: str) -> str:
 
 
 def _what_it_is(name: str) -> str:
-    """What else the name is that of."""
+    """Which other thing has this name."""
     try:
         if Path(name).is_dir():
             return " (it is a folder; a set that is there need not be rendered: novags capture)"

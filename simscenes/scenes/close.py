@@ -14,8 +14,8 @@ from simscenes.scenes.scene import ROOM, Scene, orbit
 def glassware(seed: int = 0) -> dict[str, Any]:
     """Glasses, a decanter, a glass ball and gold rings on a printed cloth, under a small bright lamp.
 
-    Hard for: refraction (what is seen through glass moves against the view), specular reflection, and caustics, which
-    path tracing finds rarely: bright isolated pixels are reported, not hidden. World z is up, the floor is z = 0.
+    Hard for: refraction (things behind glass move against the view), specular reflection, and caustics, which path
+    tracing finds rarely: bright isolated pixels are reported, not hidden. World z is up, the floor is z = 0.
 
     Args:
         seed: Varies every texture and the places of the glasses.

@@ -15,7 +15,7 @@ def cornell(seed: int = 0) -> dict[str, Any]:
     """A closed-in box, 2 units wide, with red and green tiled sides, two printed blocks and a brass ball.
 
     Hard for: light that arrives by several bounces (a tenth of it here), colour bleeding from the sides, soft shadows,
-    and a box whose open front shows only what lies inside. The open side faces -y, world z is up, z = -1 is the floor.
+    and a box whose open front shows only the inside. The open side faces -y, world z is up, z = -1 is the floor.
 
     Args:
         seed: Varies every texture and the turn of the blocks.

@@ -150,7 +150,7 @@ HALL = Scene(hall, orbit(60.0, target=(0.0, 0.5, 0.5), radius=1.9, elevation_deg
 
 
 def _left_behind(rng: t.Rng) -> dict[str, Any]:
-    """What is still to be carried out of the hall."""
+    """Things still to be carried out of the hall."""
     wood = s.diffuse(t.wood((96, 96), rng, planks=2, colors=("3a2413", "6b4526", "94663c")))
     rug = s.diffuse(t.motif((256, 256), rng, repeats=(2, 6), colors=("6d1f2c", "a3473f", "e0c79a")))
     leaves = s.twosided(s.diffuse(t.plain((64, 64), rng, "3f6b35", grain=0.4)))

@@ -1,4 +1,4 @@
-"""Rooms with what people look at most closely: print that can be read, and faces."""
+"""Rooms with things that people look at most closely: legible print, and faces."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ from typing import Any, ParamSpec
 import numpy as np
 from numpy.typing import NDArray
 
-MOST_BYTES = 1 << 28  # of all that is kept; the largest catalogue scene has 60 MB
+MOST_BYTES = 1 << 28  # of all kept results; the largest catalogue scene has 60 MB
 _Arguments = ParamSpec("_Arguments")
 _made: dict[str, tuple[NDArray[np.float32], Any]] = {}
 

@@ -21,7 +21,7 @@ class Scene:
 
     Attributes:
         make: (seed) -> Mitsuba scene dict without sensor; a variant must be active. Its docstring says what the scene
-            shows and what it is hard for.
+            shows and which difficulties it poses.
         rig: (number of views, width, height) -> the cameras designed for it.
         measured_lights: Whether its lamps have measured spectra.
     """
@@ -36,7 +36,7 @@ class Scene:
 
     @property
     def text(self) -> str:
-        """What it shows and what it is hard for: the docstring of `make`."""
+        """What the scene shows and which difficulties it poses: the docstring of `make`."""
         return self.make.__doc__ or ""
 
 

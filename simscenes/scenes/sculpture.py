@@ -36,12 +36,12 @@ class Block:
         return np.asarray((scaled - 1) * min(radii))
 
     def melt(self, part: Field, soft: float = SOFT) -> None:
-        """Let a part run into what is there (a smooth minimum)."""
+        """Let a part run into the present shape (a smooth minimum)."""
         mix = np.clip(0.5 + 0.5 * (self.field - part) / soft, 0, 1)
         self.field = self.field * (1 - mix) + part * mix - soft * mix * (1 - mix)
 
     def add(self, center: Point, radii: Point, soft: float = SOFT, *, tilt: float = 0.0, pair: bool = False) -> None:
-        """Let an ellipsoid run into what is there; of a pair the mirror image too, left and right."""
+        """Let an ellipsoid run into the present shape; of a pair the mirror image too, left and right."""
         for side in (-1, 1) if pair else (1,):
             self.melt(self.egg((side * center[0], *center[1:]), radii, tilt), soft)
 

@@ -49,7 +49,7 @@ class MultiviewSet:
 
     Attributes:
         path: The folder.
-        names: Of the views, and of their files in what is made from the set: sorted as files (`sets.names`).
+        names: Of the views, and of their files in all products of the set: sorted as files (`sets.names`).
         rig: Pinhole cameras; of the undistorted images if the source had distortion.
         kind: "rendered" (radiance and geometry are known) or "photographs".
         meta: Content of set.json (or capture.json), {} for folders from elsewhere.
@@ -87,7 +87,7 @@ class MultiviewSet:
 
     @property
     def scene(self) -> str:
-        """What the scene is called: as it was rendered, else as the folder is."""
+        """The scene's name: the name it was rendered by, else the folder's."""
         return str(self.meta.get("scene") or resolved(self.path).name)
 
     @property
@@ -103,7 +103,7 @@ class MultiviewSet:
 
     @property
     def transparent(self) -> bool:
-        """Whether some photograph can be transparent: what is behind counts as white then."""
+        """Whether some photograph can be transparent: the background counts as white then."""
         clear = (file for file in self.files if file.suffix.lower() in WITH_ALPHA)
         return self.kind == "photographs" and any(has_alpha(file) for file in clear)
 
@@ -133,7 +133,7 @@ class MultiviewSet:
         return _stack(self._truth(i, *names), *names) if self.kind == "rendered" else None
 
     def geometry(self, i: int) -> dict[str, NDArray[Any]] | None:
-        """What the ray through each pixel centre hits; None for photographs.
+        """The surface that the ray through each pixel centre hits; None for photographs.
 
         Returns:
             "z" and "distance" float32 [h,w]; "normals" (shading) and "geometric_normals", both in world axes and facing
@@ -212,7 +212,7 @@ def load_set(path: str | Path) -> MultiviewSet:
 
 
 def load_photographs(path: Path) -> MultiviewSet:
-    """Open a folder of photographs with cameras; errors as `load_set`. What lies in gt/ beside them is not looked at.
+    """Open a folder of photographs with cameras; errors as `load_set`. Files in gt/ beside them are not looked at.
 
     Some data sets call well-lit pictures so.
     """
@@ -244,7 +244,7 @@ def _as_set(
 
 
 def _unregistered(path: Path, found: Photographs, meta: dict[str, Any]) -> tuple[str, ...]:
-    """As set.json says; without one, the pictures that lie beside those that have a camera."""
+    """As set.json says; without one, the pictures without a camera beside the pictures with one."""
     if meta:
         return tuple(meta.get("unregistered", ()))
     if is_nerf_synthetic(path):  # beside its pictures lie their depths and normals
@@ -265,7 +265,7 @@ def _no_set(path: Path) -> str:
             "(sparse/0) and no poses_bounds.npy")  # fmt: skip
 
 
-# What is read of set.json, where it is there; a capture.json is its own writer's business.
+# Entries read from set.json, where there is one; a capture.json is its own writer's business.
 EFFECT = {"name": str, "on": bool, "forced": bool, "contribution": (float, None), "bound": (float, None), "unit": str,
           "reason": str}  # fmt: skip
 PLAN = {"effects": [EFFECT], "bound": (float, None), "unit": str, "seconds?": {"*": float},

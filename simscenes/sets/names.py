@@ -1,4 +1,4 @@
-"""What the views of a set are called, whatever their files are called.
+"""Names of the views of a set, for any names of their files.
 
 A view's name is the stem of all its files in a set, a capture and a run, and a line of train_list.txt. Any file has
 one: its own stem where that is safe and nobody else's, else something close to it.
@@ -37,8 +37,8 @@ def safe_name(text: str) -> str:
 def view_names(files: Sequence[Path]) -> list[str]:
     """A name for each file, safe and different from all others even where upper and lower case count alike.
 
-    Stems where they differ; else paths below the folder that all files share, joined by "_"; what is then still alike
-    is numbered in the order of the paths (a, a~2).
+    Stems where they differ; else paths below the folder that all files share, joined by "_"; names still alike are
+    numbered in the order of the paths (a, a~2).
 
     Args:
         files: Different files.

@@ -1,4 +1,4 @@
-"""Whether light is followed in three channels, in wavelengths, or polarised, and what each choice leaves out."""
+"""Whether light is followed in three channels, in wavelengths, or polarised, and the light each choice leaves out."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ POLARISED_CHANGE = 0.1
 def color_effects(
     p: Pilot, optics: Optics, media: bool, geometry: list[Any], indirect: float, measure: bool
 ) -> tuple[list[Effect], float | None]:
-    """Polarisation and spectra, and what spectra would change in a scene given in RGB (None if unknown).
+    """Polarisation and spectra, and the change by spectra in a scene given in RGB (None if unknown).
 
     Mitsuba polarises spectra only: in a scene given in RGB, polarisation is worth following if it changes more than the
     spectra that have to be made up for it.
@@ -46,15 +46,15 @@ def color_effects(
 def polarisation_effect(p: Pilot, media: bool, geometry: list[Any], measure: bool) -> Effect:
     """Polarisation shows where two specular surfaces follow each other, and behind filters; diffuse surfaces undo it.
 
-    What filters change is always measured: without polarisation each of them passes half of the light, whatever came
-    before. Without measurements a scene given in RGB stays in RGB, with the bound from its surfaces.
+    The effect of filters is always measured: without polarisation each of them passes half of any light. Without
+    measurements a scene given in RGB stays in RGB, with the bound from its surfaces.
     """
     if p.base == "spectral_polarized":
         return decided(plan.POLARISATION, True, math.inf, p.allowed, f"nothing less can load it: {p.loaded.demand}")
     filters = filters_in(p.loaded.scene, p.mi)
     possible = "spectral_polarized" in p.colors
     if filters and (p.backend == "scalar" or not possible):
-        why = "not quantified in scalar" if possible else f"but also what is made for {p.base} alone"
+        why = "not quantified in scalar" if possible else f"but also parts made for {p.base} alone"
         return decided(plan.POLARISATION, possible, math.inf, p.allowed, f"the scene holds {', '.join(filters)}, {why}")
     specular = [bool(s.bsdf().flags() & SPECULAR) for s in unique_materials(p.loaded.scene, p.mi)]
     if not filters and not any(specular):
@@ -74,7 +74,7 @@ def polarisation_effect(p: Pilot, media: bool, geometry: list[Any], measure: boo
 
 
 def _paired(p: Pilot, colors: tuple[str, str], media: bool) -> pilot.Share:
-    """What a second colour representation changes in the pilot views, against a first one.
+    """The change of the pilot views by a second colour representation, against a first one.
 
     `volpath` gives nan where a medium lets one of the wavelengths of a path pass unhindered; `volpathmis` does not
     polarise.
@@ -102,12 +102,12 @@ def spectral_effect(
 ) -> tuple[Effect, float | None]:
     """Three channels or wavelengths, from light x surface x camera; `indirect` is the share of light that meets two.
 
-    Besides the effect, what made-up spectra change in a scene given in RGB, if that was measured.
+    Besides the effect, the change by made-up spectra in a scene given in RGB, if that was measured.
     """
     if p.base != "rgb":
         return decided(plan.SPECTRAL, True, math.inf, p.allowed, f"RGB cannot load it: {p.loaded.demand}"), None
     if p.colors == ("rgb",):
-        return decided(plan.SPECTRAL, False, 0.0, p.allowed, "the scene holds what is made for RGB alone"), None
+        return decided(plan.SPECTRAL, False, 0.0, p.allowed, "the scene holds parts made for RGB alone"), None
     if _has_measured_spectra(p):
         if p.backend == "scalar":
             reason = "the scene has measured spectra (not quantified in scalar)"
@@ -130,7 +130,7 @@ def spectral_effect(
 
 
 def _color_cost(p: Pilot, optics: Optics, indirect: float) -> tuple[float, float, float]:
-    """What RGB costs in this scene; after one bounce; after two."""
+    """The cost of RGB in this scene; after one bounce; after two."""
     with p.in_color("spectral") as (mi, loaded):
         light, surface = spectra.light_and_surface(mi, loaded, p.rig, p.seed)
     once, twice = (spectra.color_error(light, surface, optics.camera, bounces) for bounces in (1, 2))

@@ -1,4 +1,4 @@
-"""The single decisions: what each effect of light transport contributes, and whether that is more than allowed."""
+"""The single decisions: the contribution of each effect of light transport, and whether it is more than allowed."""
 
 from __future__ import annotations
 
@@ -33,8 +33,9 @@ def decided(name: str, on: bool, contribution: float, bound: float, reason: str,
 def depth_effects(p: Pilot, media: bool, most: float, forced_depth: int | None) -> tuple[int, list[Effect]]:
     """Direct or indirect, and how deep: the same paths, cut at several depths.
 
-    What a cut omits lies in an interval: from what the pilot's deepest paths still found beyond it, to three standard
-    errors more than that and what would come after them if every later bounce kept `most` of the light.
+    The light that a cut omits lies in an interval. It begins with the light that the pilot's deepest paths still found
+    beyond the cut. It ends three standard errors above, plus the light beyond these paths if every later bounce kept
+    `most` of it.
     """
     kind = "volpath" if media else "path"
     full = p.cut(kind, DEEPEST, DEEPEST)
@@ -56,7 +57,7 @@ def depth_effects(p: Pilot, media: bool, most: float, forced_depth: int | None) 
 
 
 def _deep_enough(p: Pilot, kind: str, most: float) -> tuple[int, pilot.Share]:
-    """The least depth beyond which no more is left than allowed, else the deepest; and what is left."""
+    """The least depth beyond which no more light is left than allowed, else the deepest; and the light left."""
     for deepest, candidates in ((DEEPEST, (*DEPTHS, DEEPEST)), *((d, (d // 2, d)) for d in DEEPER)):
         for depth in candidates:
             left = _tail(p, kind, depth, deepest, most)
@@ -68,7 +69,7 @@ def _deep_enough(p: Pilot, kind: str, most: float) -> tuple[int, pilot.Share]:
 
 
 def _tail(p: Pilot, kind: str, depth: int, deepest: int, most: float) -> pilot.Share:
-    """What a cut at `depth` omits, from pilots that end at `deepest`."""
+    """The light that a cut at `depth` omits, from pilots that end at `deepest`."""
     full = p.cut(kind, deepest, deepest)
     if depth < deepest:
         return pilot.beyond(pilot.missing_light(full, p.cut(kind, depth, deepest)), deepest - depth, most)
@@ -113,7 +114,7 @@ def roulette_effect(p: Pilot, media: bool, depth: int, measure: bool, scale: flo
 
 
 def media_effects(p: Pilot) -> list[Effect]:
-    """Fog and other media: present or not, what they change, and whether their extinction has a colour."""
+    """Fog and other media: present or not, their contribution, and whether their extinction has a colour."""
     media = media_in(p.loaded.scene, p.mi)
     screens = [] if media else screens_before_points(p.loaded.scene, p.mi)
     if not media and not screens:
@@ -171,7 +172,7 @@ def aperture_effect(p: Pilot, geometry: list[Any], optics: Optics, scale: float)
 def motion_effect(
     geometry: list[Any], rig: Rig, small: Rig, optics: Optics, scale: float, sky: bool
 ) -> tuple[Effect, int]:
-    """Motion blur, from how far what is seen, a sky included, moves across the image during the exposure."""
+    """Motion blur, from how far visible points, a sky included, move across the image during the exposure."""
     if optics.motion is None or len(rig) < 2:
         return decided(plan.MOTION, False, 0.0, 0.5, "the camera is at rest", "px"), 1
     blur = image_motion(geometry, rig, small, optics.motion, sky) * scale

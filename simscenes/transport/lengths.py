@@ -1,4 +1,4 @@
-"""Light by the length of its path: what a cut at any length omits, by the same paths and in one pass.
+"""Light by the length of its path: the loss by a cut at any length, from the same paths and in one pass.
 
 Mitsuba's path tracer has its largest length compiled into it, so that one render for every candidate takes a kernel
 each, at a second or more where a scene is new. Here the same paths are followed once, and each contribution is booked
@@ -27,7 +27,7 @@ MOST_BOOKED = 1 << 24  # entries of the account at once: 64 MB
 
 @dataclass(frozen=True)
 class Lengths:
-    """What paths of a pilot found.
+    """The light that paths of a pilot found.
 
     Attributes:
         light: Radiance, mean over the channels, by paths of k + 1 segments in `light[k]`, [length,c,h,w,1]. A lamp seen
@@ -70,7 +70,8 @@ def light_by_length(
 def _follow(
     mi: Any, scene: Any, sensors: list[Any], seeds: list[int], chosen: slice, longest: int, rr_depth: int, spp: int
 ) -> tuple[NDArray[np.float64], float]:
-    """Mean light by length of some pixels of all views, [length,pixel], and the sum of what specular chains passed on.
+    """Mean light by length of some pixels of all views, [length,pixel], and the sum of light that specular chains
+    passed on.
 
     All views share one launch: preparing a launch takes longer than tracing the samples of a pilot.
     """
@@ -116,7 +117,8 @@ def _follow(
         sampler.drawn = drawn
         si = scene.ray_intersect(ray, active)
 
-        # A lamp that the path has run into. What a chain sees first counts in full: choosing lamps is not part of it.
+        # A lamp that the path has run into. The first light of a chain counts in full: choosing lamps is not part of
+        # it.
         ds = mi.DirectionSample3f(scene, si, before)
         chosen_too = scene.pdf_emitter_direction(before, ds, active & ~delta)
         found = through * ds.emitter.eval(si, active)
@@ -153,7 +155,7 @@ def _follow(
              mi.Bool(scene.environment() is not None))  # fmt: skip
     *_, real = dr.while_loop(begin, lambda active, *rest: active, bounce)
     dr.eval(account, chain, real)
-    # Mitsuba drops what a path found that has passed through everything it met and left a scene without a sky.
+    # Mitsuba drops the light of a path that has passed through everything it met and left a scene without a sky.
     counts = np.array(real)
     booked = (np.array(account).reshape(longest, lanes) * counts).reshape(longest, count, spp)
     return booked.mean(-1, dtype=np.float64), float(np.array(chain, dtype=np.float64)[counts].sum())

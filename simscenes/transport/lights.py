@@ -20,7 +20,7 @@ from simscenes.rigs import Rig
 SAMPLES = 4  # per light and pixel of the pilot views
 UNIFORM = 0.1  # part of the samples spread evenly, for points where the lights rank differently
 MAX_LIGHTS = 64  # with more, measuring each costs more than it saves
-COARSE = 1.015  # times the least variance of the choice: what parts that keep samples stratified may cost
+COARSE = 1.015  # times the least variance of the choice: the allowed cost of parts that keep samples stratified
 
 
 def light_weights(mi: Any, loaded: LoadedScene, rig: Rig, seed: int) -> tuple[float, ...]:
@@ -57,7 +57,7 @@ def in_even_parts(weights: NDArray[np.float64]) -> tuple[float, ...]:
         parts *= 2
     while True:
         whole = np.maximum(1, np.floor(weights * parts))
-        while whole.sum() != parts:  # what rounding left goes where it is missed most, or is taken where least
+        while whole.sum() != parts:  # the rest of rounding goes where it is missed most, or is taken where least
             step = 1 if whole.sum() < parts else -1
             change = np.where(whole + step < 1, np.inf, weights**2 / np.maximum(whole + step, 1) - weights**2 / whole)
             whole[change.argmin()] += step

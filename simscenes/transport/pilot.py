@@ -36,7 +36,7 @@ DEEPEST = 64  # pilot paths end here, where that is deep enough
 
 @dataclass(frozen=True)
 class Pilot:
-    """What all decisions start from."""
+    """The basis of all decisions."""
 
     mi: Any
     source: SceneRef
@@ -55,7 +55,7 @@ class Pilot:
     rms: dict[str, tuple[float, ...]] = field(default_factory=dict)  # effect -> `Share.rms` of leaving it out
 
     def render(self, kind: str, depth: int, rr_depth: int = RR_DEPTH) -> NDArray[np.float64]:
-        """The pilot views, by the same paths whatever the depth; rendered once.
+        """The pilot views, by the same paths for all depths; rendered once.
 
         In scalar variants the paths differ, since their samplers continue from one to the next: differences are noisier
         there, and bounds wider.
@@ -67,7 +67,7 @@ class Pilot:
         return self.images[key]
 
     def cut(self, kind: str, depth: int, deepest: int) -> NDArray[np.float64]:
-        """What paths up to `depth` show of the pilot views, of those that end at `deepest`.
+        """The pilot views by paths up to `depth`, where the longest end at `deepest`.
 
         From one pass over all lengths where there is such a pass, else from a render of each depth. The deeper ones do
         without roulette: it ends one path in twenty at every bounce, however bright, so that few of hundreds of bounces
@@ -88,7 +88,7 @@ class Pilot:
 
     @property
     def hiding(self) -> dict[str, bool]:
-        """What an integrator is told, besides its depths, in this scene: cameras may look through lamps."""
+        """Settings of an integrator, besides its depths, in this scene: cameras may look through lamps."""
         return {"hide_emitters": True} if self.hide_emitters else {}
 
     @property
@@ -130,7 +130,7 @@ def _holds_objects(mi: Any, node: Any) -> bool:
 
 
 def pilot_rig(rig: Rig) -> Rig:
-    """A few small views spread over a rig, with its fields of view; the same ones whatever the order of the rig."""
+    """A few small views spread over a rig, with its fields of view; the same ones for any order of the rig."""
     cameras = np.hstack([rig.viewmats.reshape(len(rig), -1), rig.Ks.reshape(len(rig), -1)])
     order = np.lexsort(cameras.T[::-1])
     chosen = order[np.unique(np.linspace(0, len(rig) - 1, N_VIEWS).round().astype(int))]
@@ -199,8 +199,8 @@ def missing_light(full: NDArray[np.float64], part: NDArray[np.float64]) -> Share
 def root_mean_squares(change: NDArray[np.float64], full: NDArray[np.float64], block: int = 4) -> tuple[float, ...]:
     """Root mean square of a change [c,h,w,3] of the views `full`, and by brightness: the figures of `Share.rms`.
 
-    Over blocks of pixels. What the pixels of a block differ by is taken for noise, whose part in the square is
-    subtracted; what is left is at least the square of the mean.
+    Over blocks of pixels. Differences within a block are taken for noise, whose part in the square is subtracted; the
+    rest is at least the square of the mean.
     """
     moved, noise = _blocks(change, block)
     light, _ = _blocks(full, block)
@@ -237,7 +237,7 @@ def _block_numbers(image: NDArray[np.float64], block: int) -> NDArray[np.intp]:
 
 
 def beyond(cut: Share, bounces: int, most: float) -> Share:
-    """A cut's missing light, with what also comes after paths `bounces` deeper, if each bounce keeps at most `most`.
+    """A cut's missing light, including light of paths `bounces` deeper and beyond, if each bounce keeps at most `most`.
 
     All light after those paths is at most `most ** bounces` of the light they found beyond the cut, and so on: a
     geometric series. The ratio of the last two bounces instead is known to come out a tenth to a fifth too low.

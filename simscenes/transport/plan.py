@@ -24,7 +24,7 @@ EFFECTS = (
     INDIRECT, DEEP, ROULETTE, MEDIA, SPECTRAL_MIS, POLARISATION, SPECTRAL, APERTURE, MOTION,
 )  # in the order of the table  # fmt: skip
 POSES_PER_PIXEL = 2  # of motion blur: from one to the next the picture moves by half a pixel
-DIRECT_DEPTH = 2  # Mitsuba counts path vertices: 1 sees lamps only, 2 adds what they light directly
+DIRECT_DEPTH = 2  # Mitsuba counts path vertices: 1 sees lamps only, 2 adds surfaces they light directly
 
 # An effect on the left that is on needs the states on the right.
 NEEDS = {
@@ -35,14 +35,14 @@ NEEDS = {
 
 
 def settle(effects: Iterable[Effect], force: dict[str, bool]) -> tuple[Effect, ...]:
-    """The effects after the user's choices, and after what the effects that are on require of others."""
+    """The effects after the user's choices, and after the demands of active effects on others."""
     settled = {
         e.name: replace(e, on=force[e.name], forced=True, reason=f"forced by name; {e.reason}")
         if e.name in force
         else e
         for e in effects
     }
-    for name in sorted(NEEDS, key=lambda name: name not in force):  # wishes come before what is only planned
+    for name in sorted(NEEDS, key=lambda name: name not in force):  # wishes come before plans
         if not settled[name].on:
             continue
         lacking = [needed for needed, wanted in NEEDS[name].items() if force.get(needed, wanted) != wanted]
@@ -67,7 +67,7 @@ class TransportPlan(Plan):
             not measured.
         hide_emitters: Whether cameras look through lamps, and skies are black, as a scene's own integrator may want it.
         tolerance: The share of all light that may be left out; nan if it was not asked.
-        rms: What leaving an effect out costs as an error of pixels, effect -> five numbers: the root mean square over
+        rms: The cost of leaving an effect out as an error of pixels, effect -> five numbers: the root mean square over
             the picture relative to the mean radiance, then within each quarter of it by brightness, darkest first.
         light_weights: How often each light of the scene is picked, relative; () for equally often.
     """
@@ -83,7 +83,7 @@ class TransportPlan(Plan):
 
     @property
     def bias(self) -> tuple[float, ...]:
-        """The error of pixels by all that is left out, at most, as the five numbers of `rms`; nan where not known."""
+        """The error of pixels by all omitted effects, at most, as the five numbers of `rms`; nan where not known."""
         if math.isnan(self.bound):
             return (math.nan,) * 5
         left = [self.rms.get(e.name) or (e.contribution,) * 5 for e in self.effects if not e.on and e.unit == UNIT]
@@ -95,7 +95,7 @@ class TransportPlan(Plan):
         effects = [
             {**e, **{key: math.nan for key in ("contribution", "bound") if e[key] is None}} for e in data["effects"]
         ]
-        bound = math.nan if data["bound"] is None else data["bound"]  # null stands for what was not measured
+        bound = math.nan if data["bound"] is None else data["bound"]  # null stands for a value not measured
         lights = tuple(data.get("light_weights", ()))
         tolerance = math.nan if data.get("tolerance") is None else data["tolerance"]
         rms = {name: tuple(math.inf if v is None else v for v in part) for name, part in data.get("rms", {}).items()}
@@ -105,7 +105,7 @@ class TransportPlan(Plan):
         return made
 
     def force(self, on: Iterable[str] = (), off: Iterable[str] = ()) -> TransportPlan:
-        """The same plan with some effects decided by hand, and what follows from that. The bounds are no longer known.
+        """The same plan with some effects decided by hand, and the consequences. The bounds are no longer known.
 
         Raises:
             ValueError: If an effect does not exist.
@@ -123,7 +123,7 @@ class TransportPlan(Plan):
         return "spectral" if self.is_on(SPECTRAL) else "rgb"
 
     def __str__(self) -> str:
-        """The table, and what the plan saves."""
+        """The table, and the time the plan saves."""
         if not self.seconds:
             return super().__str__()
         times = ", ".join(f"{seconds:.3g} s {name}" for name, seconds in self.seconds.items())

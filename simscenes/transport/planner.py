@@ -1,4 +1,4 @@
-"""Decide, effect by effect, what a scene needs, each time with a number and a bound."""
+"""Decide, effect by effect, whether a scene needs it, each time with a number and a bound."""
 
 from __future__ import annotations
 
@@ -59,10 +59,10 @@ def plan_transport(
         optics: Camera properties; None for the lens of the scene's own sensor, else a pinhole, at rest and seeing
             linear sRGB.
         force: Effect name -> True or False, decided by the user.
-        max_depth: Longest path, decided by the user; else that of the scene's own integrator, if it sets one.
-        measure: Measure polarisation, where Russian roulette pays, what made-up spectra would change, and the time the
-            plan saves, with pilots of their own (some seconds); else polarisation is bounded from the surfaces, where
-            that suffices, roulette starts where it usually pays (`RR_USUAL`), and the rest is not known.
+        max_depth: Longest path, decided by the user; else the limit of the scene's own integrator, if it sets one.
+        measure: Measure polarisation, where Russian roulette pays, the change by made-up spectra, and the time the plan
+            saves, with pilots of their own (some seconds); else polarisation is bounded from the surfaces, where that
+            suffices, roulette starts where it usually pays (`RR_USUAL`), and the rest is not known.
         variant: Mitsuba variant for the pilots.
         seed: Of the pilots' random numbers.
         allow_outside: Let an XML scene read files outside its folder.
@@ -126,8 +126,8 @@ def say_if_dark(p: Pilot) -> None:
         warnings.warn(f"scene {name!r} has no emitter: every picture is black; add one, such as "
                       '<emitter type="constant"/>', stacklevel=3)  # fmt: skip
     elif not any(light.any() for light in (*p.images.values(), *(found.light for found in p.by_length.values()))):
-        warnings.warn(f"no light of scene {name!r} reaches its cameras in the pilots: see that lamps face what they "
-                      "see, and that nothing encloses them", stacklevel=3)  # fmt: skip
+        warnings.warn(f"no light of scene {name!r} reaches its cameras in the pilots: see that lamps face the "
+                      "cameras' view, and that nothing encloses them", stacklevel=3)  # fmt: skip
 
 
 def _decide(
@@ -184,7 +184,7 @@ def everything_on(made: TransportPlan) -> TransportPlan:
 
 
 def _measure_seconds(p: Pilot, made: TransportPlan) -> dict[str, float]:
-    """What a million samples take by the plan and with everything on; {} if the scene cannot have everything."""
+    """The seconds of a million samples by the plan and with everything on; {} if the scene cannot have everything."""
     seconds: dict[str, float] = {}
     if everything_on(made).color not in p.colors:
         return seconds
@@ -199,7 +199,7 @@ def default_plan(optics: Optics, own: OwnIntegrator | None = None) -> TransportP
 
     Args:
         optics: Of the cameras; a lens and a motion are simulated.
-        own: What the scene's own integrator asks for.
+        own: The settings of the scene's own integrator.
     """
     own = own or OwnIntegrator("path")
     blurred = {plan.APERTURE: optics.aperture_radius is not None, plan.MOTION: optics.motion is not None}
@@ -217,7 +217,7 @@ def default_plan(optics: Optics, own: OwnIntegrator | None = None) -> TransportP
 
 
 def _bounded(made: TransportPlan, made_up: float | None) -> TransportPlan:
-    """The plan with its bounds. `made_up`: what spectra change in a scene given in RGB; None if unknown.
+    """The plan with its bounds. `made_up`: the change by spectra in a scene given in RGB; None if unknown.
 
     Colours given as RGB are followed as RGB by definition, but a renderer that turns them into smooth spectra sees
     another picture: the difference is a bound in a unit of its own, or an error if the plan makes such spectra itself.

@@ -1,4 +1,4 @@
-"""What the planner knows about Mitsuba's plugins; what it does not know it simulates fully.
+"""What the planner knows about Mitsuba's plugins; it simulates unknown ones fully.
 
 `tests/plugins` holds a scene for each of these and compares its plan with everything on: docs/what-mitsuba-plugins.md.
 """
@@ -27,7 +27,7 @@ UNDERSTOOD = frozenset({
     "IrregularSpectrum", "MeshAttribute", "RawConstantTexture", "RegularSpectrum", "SRGBReflectanceSpectrum",
     "UniformSpectrum", "VolumeAdapter",
 })  # fmt: skip
-# What polarises is all they are there for: how much that changes is measured, never guessed.
+# Plugins whose only purpose is to polarise: how much that changes is measured, never guessed.
 FILTERS = frozenset({"CircularPolarizer", "LinearPolarizer", "LinearRetarder", "MeasuredPolarized"})
 
 

@@ -73,8 +73,8 @@ def path_noise(
         loaded: The scene.
         rig: The pilot views.
         integrators: Whose noise is wanted; they share their random numbers.
-        part: Of the width of a pixel, where samples fall. A pilot's pixels are larger than those of the views: what
-            they show varies more, and would hide the noise of the paths.
+        part: Of the width of a pixel, where samples fall. A pilot's pixels are larger than a view's: their content
+            varies more, and would hide the noise of the paths.
         seed: Of the samples.
     """
     first = np.zeros(rig.width * rig.height, dtype=np.int64)

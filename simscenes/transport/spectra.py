@@ -1,4 +1,4 @@
-"""What three colour channels cost: the spectral product of light, surface and camera against the RGB product.
+"""The cost of three colour channels: the spectral product of light, surface and camera against the RGB product.
 
 No rendering: the light that reaches each pilot pixel directly and the reflectance found there are taken as spectra,
 multiplied by wavelength, and compared with the product of their RGB values through the matrix that RGB renders use.
@@ -23,15 +23,15 @@ LIGHT_SAMPLES = 16
 MEASURED = re.compile(r"((Irr|R)egularSpectrum|BlackBodySpectrum|SunskyEmitter)\[")  # as Mitsuba prints them
 NAMED = re.compile(rf"(\w+)\s*[=:]\s*{MEASURED.pattern}")  # with the parameter that they are the value of
 SKY = "SunskyEmitter["
-MATT = ("reflectance", "diffuse_reflectance")  # what `light_and_surface` multiplies
+MATT = ("reflectance", "diffuse_reflectance")  # the factors of `light_and_surface`
 METAL = ("eta", "k")
 
 
 def has_measured(mi: Any, loaded: LoadedScene) -> bool:
     """Whether a scene, loaded in spectra, has a light, a surface or a medium that was given as a spectrum.
 
-    What was given as RGB has only the smooth spectrum that Mitsuba makes up. Metals do not count: their measured
-    indices become RGB once, whatever the light.
+    A colour given as RGB has only the smooth spectrum that Mitsuba makes up. Metals do not count: their measured
+    indices become RGB once, for any light.
     """
     lights = "".join(str(light) for light in loaded.scene.emitters())
     matt = any(name in MATT for name in _measured_parameters(mi, loaded))
@@ -41,7 +41,7 @@ def has_measured(mi: Any, loaded: LoadedScene) -> bool:
 def measured_elsewhere(mi: Any, loaded: LoadedScene) -> list[str]:
     """Where a scene, loaded in spectra, has measured ones besides lights, matt surfaces and metals; in order.
 
-    For these, no product of light and reflectance says what RGB would cost.
+    For these, no product of light and reflectance gives the cost of RGB.
     """
     found = {name for name in _measured_parameters(mi, loaded) if name not in (*MATT, *METAL)}
     if any(SKY in str(light) for light in loaded.scene.emitters()):

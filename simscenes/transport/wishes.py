@@ -1,4 +1,4 @@
-"""Refuses what the user decides instead of the planner, if it cannot be simulated."""
+"""Refuses decisions that the user makes instead of the planner, if they cannot be simulated."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from simscenes.transport import plan
 
 
 def check_wishes(force: dict[str, bool], max_depth: int | None, optics: Optics, *, media: bool, spectra: bool) -> None:
-    """Refuse what cannot be simulated.
+    """Refuse wishes that cannot be simulated.
 
     Args:
         force: Effect -> on or off.
@@ -17,13 +17,14 @@ def check_wishes(force: dict[str, bool], max_depth: int | None, optics: Optics, 
         spectra: Whether the scene can be loaded in spectra.
 
     Raises:
-        ValueError: If an effect is unknown, needs what the scene or the camera lacks, or contradicts another wish.
+        ValueError: If an effect is unknown, needs a part that the scene or the camera lacks, or contradicts another
+            wish.
     """
     if unknown := set(force) - set(plan.EFFECTS):
         raise ValueError(f"force: an effect must be one of {', '.join(plan.EFFECTS)}, got {', '.join(sorted(unknown))}")
     if max_depth is not None and max_depth < plan.DIRECT_DEPTH:
-        raise ValueError(f"max_depth must be at least {plan.DIRECT_DEPTH} (lamps and what they light), got {max_depth}")
-    for_rgb = "the scene holds what is made for RGB alone: describe objects as dicts, leave raw out of colours' bitmaps"
+        raise ValueError(f"max_depth must be at least {plan.DIRECT_DEPTH} (lamps and surfaces lit), got {max_depth}")
+    for_rgb = "the scene holds parts made for RGB alone: describe objects as dicts, leave raw out of colours' bitmaps"
     lacking = {
         plan.APERTURE: (optics.aperture_radius is None, "the camera is a pinhole: give Optics an aperture_radius"),
         plan.MOTION: (optics.motion is None, "the camera is at rest: give Optics a motion"),

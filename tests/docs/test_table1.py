@@ -66,7 +66,7 @@ def test_runs_that_were_skipped_are_counted_and_named(table1: ModuleType) -> Non
     rows = table1.merged([ROWS, [skipped, row("lom", "lita-gs", 1, 1, state="waiting")]])
     lines = table1.tables(rows, STUDY)["lom"].splitlines()
     assert lines[0] == "8 of 10 runs. LPIPS: unavailable."
-    assert "`naive`, seed 2: what it needs has failed: no light" in lines[-1]
+    assert "`naive`, seed 2: a task it needs has failed: no light" in lines[-1]
     found = {line.split("|")[1].strip(): line for line in lines[4:-2]}
     assert "| 21.00 ± 1.41 🟨 |" in found["`naive`"]
 

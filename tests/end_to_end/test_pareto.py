@@ -69,7 +69,7 @@ def test_an_experiment_with_a_budget_is_chosen_done_and_said(tmp_path: Path) -> 
     assert done.stderr.index("against the preset") < done.stderr.index("reconstruct")
     again = novags(*words, cwd=tmp_path)
     assert again.returncode == 0
-    assert "going on with what was chosen before" in again.stderr
+    assert "going on with the earlier choice" in again.stderr
 
 
 @pytest.mark.slow

@@ -195,7 +195,7 @@ def test_a_fault_of_the_disk_in_a_stage_stops_the_study_and_fails_no_run(
     code, text = run()
     assert code == 1
     assert said in one_line(text)
-    assert "what is finished is kept; fix that and run the same command again" in one_line(text)
+    assert "finished work is kept; fix that and run the same command again" in one_line(text)
     assert set(states(tmp_path)) <= {"done", "waiting"}
     before = made(tmp_path)
     (tmp_path / "faults").unlink()
@@ -318,7 +318,7 @@ def test_two_versions_of_novags_share_a_store_and_no_entry_that_their_code_makes
     assert run()[0] == 0
     first, count = rows(tmp_path), len(made(tmp_path))
     code, said = run("--overwrite", "--store", "mixed", prepare=workers_of_another)
-    assert (code, "is another version than the one that planned this study" in one_line(said)) == (1, True)
+    assert (code, "is another version than the planner of this study" in one_line(said)) == (1, True)
     assert set(states(tmp_path)) == {"waiting"}
     count = len(made(tmp_path))  # sets are made alike by both
     assert run(prepare=another)[0] == 0

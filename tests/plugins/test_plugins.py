@@ -155,8 +155,8 @@ def test_a_raw_bitmap_as_a_colour_keeps_a_scene_in_rgb(tmp_path: Path) -> None:
 
     made = plan_transport(scene("base_color"), rig=rig())
     assert made.color == "rgb"
-    assert made[plan.SPECTRAL].reason == "the scene holds what is made for RGB alone"
-    with pytest.raises(ValueError, match="forced on, but the scene holds what is made for RGB alone: "):
+    assert made[plan.SPECTRAL].reason == "the scene holds parts made for RGB alone"
+    with pytest.raises(ValueError, match="forced on, but the scene holds parts made for RGB alone: "):
         plan_transport(scene("base_color"), rig=rig(), force={plan.SPECTRAL: True})
     with using_variant("scalar", "spectral") as mi:
         with pytest.raises(ValueError, match="raw = true as base_color: it has no spectrum"):

@@ -1,7 +1,7 @@
 """Structure from motion with features and matches of networks, by the user's own installation of hloc.
 
-hloc (github.com/cvg/Hierarchical-Localization, Apache-2) finds features and matches. They are mapped here, as those of
-`sfm` are: its own mapping call takes one lens for all pictures, and here each view has its own, which stays fixed.
+hloc (github.com/cvg/Hierarchical-Localization, Apache-2) finds features and matches. They are mapped here, as for
+`sfm`: its own mapping call takes one lens for all pictures, and here each view has its own, which stays fixed.
 
 Parts of the package in use (version 1.5): `extract_features.main` and `.confs`, `match_features.main` and `.confs`,
 `pairs_from_exhaustive.main`, and `utils.io.get_keypoints` and `.get_matches`. Its keypoints have the centre of the
@@ -37,8 +37,8 @@ def check_installed(config: HlocConfig) -> None:
         raise ValueError(
             "cameras hloc need the package hloc, which is not installed: clone "
             "https://github.com/cvg/Hierarchical-Localization with --recursive and pip install it into this "
-            "environment (Apache-2; it fetches weights at their first use, and those of SuperPoint and SuperGlue are "
-            "for non-commercial research)"
+            "environment (Apache-2; it fetches weights at their first use, and the weights of SuperPoint and "
+            "SuperGlue are for non-commercial research)"
         )
     check_mapper(config.mapper)
     _confs(config)
@@ -88,7 +88,7 @@ def _part(name: str) -> Any:
         return importlib.import_module(f"hloc.{name}")
     except ImportError as error:
         raise ValueError(
-            f"hloc is installed, but hloc.{name} cannot be imported ({error}): install what it asks for"
+            f"hloc is installed, but hloc.{name} cannot be imported ({error}): install the package it asks for"
         ) from error
 
 

@@ -1,7 +1,7 @@
 """Cameras and points from matched features, by COLMAP (pycolmap): incremental or global mapping with known lenses.
 
-Which features are matched is the caller's: SIFT (`sfm`) or those of a network (`hloc`). Intrinsics stay as given.
-Everything runs on the CPU and, with one thread, reproducibly.
+The caller chooses the features: SIFT (`sfm`) or a network's (`hloc`). Intrinsics stay as given. Everything runs on the
+CPU and, with one thread, reproducibly.
 """
 
 from collections.abc import Callable
@@ -24,7 +24,7 @@ from sensor_model.files.scratch import scratch
 
 @dataclass(frozen=True)
 class Scene:
-    """What matches are found in: pictures in a folder, known to an empty database.
+    """The input of matching: pictures in a folder, known to an empty database.
 
     Attributes:
         root: The folder, for files of the caller's too.
@@ -147,7 +147,7 @@ def from_reconstruction(
         seed: Of the choice of points.
         what: Made the reconstruction, for messages.
         kind: Of pictures, for messages.
-        advice: What to try where too few views have a pose, beside other pictures.
+        advice: A remedy where too few views have a pose, beside other pictures.
 
     Raises:
         ValueError: If fewer than 2 views have a pose, or if a lens is not a pinhole.
@@ -176,7 +176,7 @@ def _points(
     model: Any, observed: list[list[int]], dark: NDArray[np.float32], viewmats: Array, Ks: Array, count: int,
     rng: np.random.Generator,
 ) -> tuple[Array, Array]:  # fmt: skip
-    """`count` points and their colours: those of the model, the rest interpolated between them."""
+    """`count` points and their colours: the model's points, the rest interpolated between them."""
     ids = sorted(model.points3D)
     xyz = np.array([model.points3D[i].xyz for i in ids]).reshape(-1, 3)
     if len(ids) > count:

@@ -65,7 +65,7 @@ class Registered:
         viewmats: [R, 4, 4], world to camera.
         lenses: One for each of them.
         points: [P, 3].
-        seen: What each view observes.
+        seen: The observations of each view.
         error: Mean reprojection error, px.
     """
 

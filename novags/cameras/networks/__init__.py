@@ -1,6 +1,6 @@
 """Camera sources that are networks of others, run from the user's own installation with the user's own weights.
 
 None of them is part of this project. There is one file per network: it says which parts of the package are called,
-what comes back and in which convention. `package` says what is missing and reads weights; `dense` prepares pictures
-and makes cameras and points from what a network returns for every pixel.
+their results and the convention of these. `package` names missing parts and reads weights; `dense` prepares pictures
+and makes cameras and points from a network's output for every pixel.
 """

@@ -1,4 +1,4 @@
-"""Pictures as a network expects them, and cameras and points from what it then returns for every pixel.
+"""Pictures as a network expects them, and cameras and points from its output for every pixel.
 
 Positions have pixel centres at +0.5. A position p of a picture is at p * scale - offset in the prepared one.
 """
@@ -16,7 +16,7 @@ from novags.cameras.estimate import Array, CameraEstimate, as_estimate
 from novags.cameras.points import averaged, project, subset
 
 Index = NDArray[np.intp]
-LARGEST_MISS = 2.0  # px of a prepared picture, twice what conventions of half a pixel and rounding make of it
+LARGEST_MISS = 2.0  # px of a prepared picture, twice the effect of conventions of half a pixel and of rounding
 HEADS_MISS = 10.0  # the same for points of another part of the network, which is as right as the network is
 UNSOUND = "check the weights, or run it with --device cpu"  # what to do about a network that computes nonsense
 
@@ -28,8 +28,8 @@ class Window:
     Attributes:
         scale: Factors (x, y) by which pictures were scaled.
         offset: Columns and rows (x, y) of the scaled pictures that were then cut off on the left and at the top.
-        width: Of what was kept, px.
-        height: Of what was kept, px.
+        width: Of the kept part, px.
+        height: Of the kept part, px.
     """
 
     scale: Array
@@ -43,7 +43,7 @@ class Window:
         return result
 
     def original_Ks(self, Ks: Array) -> Array:
-        """Intrinsics [C, 3, 3] of prepared pictures -> those of the original ones."""
+        """Intrinsics [C, 3, 3] of prepared pictures -> intrinsics of the original ones."""
         result = Ks.copy()
         result[:, :2, 2] += self.offset
         # Scaling keeps pixel edges in place, not centres, so with centres at +0.5 whole rows of K scale.
@@ -137,7 +137,7 @@ def from_pixels(
         window: Which part of the pictures those are.
         colors_from: [C, h, w, 3] dark images, 0..1.
         other_points: Where another part of the network sees the same pixels [P, 3]. Needed where `points` were made
-            with these cameras, which then see them at their pixels whatever the cameras are; None: `points`.
+            with these cameras, which then see them at their pixels for any cameras; None: `points`.
 
     Raises:
         ValueError: If cameras are not finite, or if points are not seen at their pixels: then this version of the
@@ -165,7 +165,7 @@ def from_pixels(
 
 
 def _miss(points: Array, pixels: Array, view: Index, viewmats: Array, Ks: Array) -> float:
-    """Distance between pixels and where their views see the points, px; infinite for those behind the camera.
+    """Distance between pixels and where their views see the points, px; infinite for points behind the camera.
 
     Median over the views of their medians: the first view alone, whose pose often is the identity, shows nothing.
     """

@@ -1,7 +1,7 @@
 """Cameras and points from DUSt3R, with the user's own installation and weights (both CC BY-NC-SA 4.0).
 
 Parts of the package in use: `dust3r.model.AsymmetricCroCo3DStereo`, `dust3r.image_pairs.make_pairs`,
-`dust3r.inference.inference` and `dust3r.cloud_opt.global_aligner`, as its README calls them. What comes back: poses
+`dust3r.inference.inference` and `dust3r.cloud_opt.global_aligner`, as its README calls them. The results: poses
 camera-to-world, focal lengths and principal points in px of the prepared pictures with pixel centres at 0, 1, ..., and
 a world point and a confidence for each pixel.
 
@@ -63,8 +63,8 @@ def dust3r_cameras(
         In the frame of the alignment, in a unit of its own. `Ks` are its own, at the size of `pictures`.
 
     Raises:
-        ValueError: If package or weights are missing or do not fit, for wrong shapes or types, or if what is returned
-            is not finite or contradicts itself.
+        ValueError: If package or weights are missing or do not fit, for wrong shapes or types, or if its output is not
+            finite or contradicts itself.
     """
     pictures = np.asarray(pictures)
     check_views(pictures, colors_from, n_points)
@@ -161,7 +161,7 @@ def load(model_class: Any, checkpoint: Path, device: str | torch.device) -> Any:
         else:
             weights, arguments = held["model"], spelled_arguments(held["args"], model_class.__name__)
         if max(arguments["img_size"]) != SIZE:
-            raise ValueError(f"they are for pictures of {max(arguments['img_size'])} px, take those for {SIZE}")
+            raise ValueError(f"they are for pictures of {max(arguments['img_size'])} px, take the weights for {SIZE}")
         if arguments.get("patch_embed_cls") == "ManyAR_PatchEmbed":
             # The class it was trained with takes batches of mixed shapes; this one has the same weights for one shape.
             arguments["patch_embed_cls"] = "PatchEmbedDust3R"
@@ -184,7 +184,7 @@ def spelled_arguments(namespace: argparse.Namespace, name: str) -> dict[str, Any
     """
     call = ast.parse(namespace.model, mode="eval").body
     if not (isinstance(call, ast.Call) and isinstance(call.func, ast.Name) and call.func.id == name and not call.args):
-        raise ValueError(f"its arguments are those of {namespace.model[:60]!r}, not of {name}(...)")
+        raise ValueError(f"its arguments belong to {namespace.model[:60]!r}, not to {name}(...)")
     return {keyword.arg or "**": _literal(keyword.value) for keyword in call.keywords}
 
 

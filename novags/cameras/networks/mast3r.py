@@ -2,7 +2,7 @@
 
 Parts of the package in use: `mast3r.model.AsymmetricMASt3R` and
 `mast3r.cloud_opt.sparse_ga.sparse_global_alignment`, as its demo calls them, and `make_pairs` of the DUSt3R that comes
-with it. Pictures, weights and conventions are those of DUSt3R; dense points come as [H W, 3] in rows of the picture.
+with it. Pictures, weights and conventions are DUSt3R's; dense points come as [H W, 3] in rows of the picture.
 """
 
 import numpy as np
@@ -55,14 +55,14 @@ def mast3r_cameras(
         In the frame of the alignment, in a unit of its own. `Ks` are its own, at the size of `pictures`.
 
     Raises:
-        ValueError: If package or weights are missing or do not fit, for wrong shapes or types, or if what is returned
-            is not finite or contradicts itself.
+        ValueError: If package or weights are missing or do not fit, for wrong shapes or types, or if its output is not
+            finite or contradicts itself.
     """
     pictures = np.asarray(pictures)
     check_views(pictures, colors_from, n_points)
     check_installed(config)
     views, window = as_its_loader(pictures)
-    # First: importing this package is what makes the DUSt3R that comes with it importable.
+    # First: importing this package makes the DUSt3R that comes with it importable.
     model_class = part("mast3r", "mast3r.model").AsymmetricMASt3R
     align = part("mast3r", "mast3r.cloud_opt.sparse_ga").sparse_global_alignment
     make_pairs = part("mast3r", "dust3r.image_pairs").make_pairs

@@ -48,12 +48,12 @@ def part(source: str, module: str) -> Any:
         return importlib.import_module(module)
     except ImportError as error:
         raise ValueError(
-            f"cameras {source}: {module} cannot be imported ({error}): install what its package asks for"
+            f"cameras {source}: {module} cannot be imported ({error}): install the packages it asks for"
         ) from error
 
 
 def read_checkpoint(checkpoint: Path) -> Any:
-    """What a file of weights holds: of .safetensors tensors by name, else what `torch.save` wrote.
+    """The content of a file of weights: of .safetensors tensors by name, else the object that `torch.save` wrote.
 
     Of the latter only tensors, plain containers and `argparse.Namespace` are read: a pickle of anything else could run
     code, and no package's own loader, which would run it, is called.

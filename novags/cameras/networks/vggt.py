@@ -56,8 +56,8 @@ def vggt_cameras(
         device: Where the network runs; about 5 GB of weights.
 
     Returns:
-        In the network's frame: that of the first camera, in a unit of its own. `Ks` are the network's, at the size of
-        `pictures`; they belong to its depths, so they are not replaced by known ones.
+        In the network's frame: the frame of the first camera, in a unit of its own. `Ks` are the network's, at the size
+        of `pictures`; they belong to its depths, so they are not replaced by known ones.
 
     Raises:
         ValueError: If package or weights are missing or do not fit, for wrong shapes or types, or if the network

@@ -17,7 +17,7 @@ class Dust3rConfig(CameraConfig):
     pictures: Pictures = "raw"  # which pictures are used; the caller provides them
     pairs: str = "complete"  # scene graph of its make_pairs: complete, swin-5, logwin-4, oneref, ...
     iterations: int = 300  # of the global alignment
-    drop_percent: float = 30.0  # of all pixels, those with the least confident point give no points
+    drop_percent: float = 30.0  # of all pixels, the share with the least confident points, which give none
 
     def __post_init__(self) -> None:
         check_kind("dust3r", self.pictures)

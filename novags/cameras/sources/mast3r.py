@@ -18,7 +18,7 @@ class Mast3rConfig(CameraConfig):
     pairs: str = "complete"  # scene graph of its make_pairs: complete, swin-5, logwin-4, oneref, ...
     iterations: int = 300  # of each stage of the alignment: matched points in space, then in the pictures
     shared_lens: bool = False  # one focal length for all views
-    drop_percent: float = 30.0  # of all pixels, those with the least confident point give no points
+    drop_percent: float = 30.0  # of all pixels, the share with the least confident points, which give none
 
     def __post_init__(self) -> None:
         check_kind("mast3r", self.pictures)

@@ -14,7 +14,7 @@ class VggtConfig(CameraConfig):
 
     checkpoint: Path  # of VGGT-1B: a .pt or .safetensors file
     pictures: Pictures = "raw"  # which pictures are used; the caller provides them
-    drop_percent: float = 30.0  # of all pixels, those with the least confident depth give no points
+    drop_percent: float = 30.0  # of all pixels, the share with the least confident depth, which gives no points
 
     def __post_init__(self) -> None:
         check_kind("vggt", self.pictures)

@@ -1,1 +1,1 @@
-"""What `list`, `help` and `doctor` answer."""
+"""The answers of `list`, `help` and `doctor`."""

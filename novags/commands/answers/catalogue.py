@@ -34,14 +34,14 @@ def table(rows: Iterable[tuple[str, str]]) -> str:
 
 
 def scenes() -> str:
-    """The catalogue of scenes with what each is made for."""
+    """The catalogue of scenes with the purpose of each."""
     from simscenes.scenes import SCENES
 
     rows = [(name, f"{first_sentence(scene.text)}{_from(SCENES, name)}") for name, scene in SCENES.items()]
     rows.append(("NAME:SEED", "a variation of a scene, such as tabletop:3"))
     rows.append(("FILE.xml", "any Mitsuba 3 scene"))
     pictures = Path(__file__).resolve().parents[3] / "docs" / "scenes.png"
-    return table(rows) + (f"\n  what they look like: {pictures}" if pictures.exists() else "")
+    return table(rows) + (f"\n  pictures of them: {pictures}" if pictures.exists() else "")
 
 
 def sensors() -> str:
@@ -98,7 +98,7 @@ def cameras() -> str:
 
 
 def enhancers() -> str:
-    """What brightens dark pictures."""
+    """Enhancers of dark pictures."""
     from novags.methods.enhancers import ENHANCERS
 
     return table([(name, f"{enhancer.title}{_from(ENHANCERS, name)}") for name, enhancer in ENHANCERS.items()])

@@ -1,4 +1,4 @@
-"""What works on this machine, what does not, and how to install what is missing."""
+"""Parts that work on this machine, parts that do not, and how to install missing ones."""
 
 import os
 import platform
@@ -56,7 +56,7 @@ def _package(name: str, how: str) -> Finding:
 
 
 def _import_problem(module: str) -> str:
-    """What goes wrong where it is imported, "" if nothing: in a process of its own, which a broken library may end."""
+    """The error of importing it, "" if there is none: in a process of its own, which a broken library may end."""
     try:
         done = subprocess.run(python(f"import {module}"), capture_output=True, text=True, timeout=300, check=False)
     except (OSError, subprocess.TimeoutExpired) as error:

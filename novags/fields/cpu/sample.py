@@ -103,8 +103,8 @@ def _cumulate(weights, sums, even):
 def learn(positions, found, side, kept, density):
     """Update the map [side^3] with the densities found [S] at positions [S, 3]; in order, by one thread.
 
-    A cell becomes at least as dense as what was found in it, and otherwise keeps the share `kept` of what it had beyond
-    that: what was fog once must not be sampled for ever.
+    A cell becomes at least as dense as its samples, and otherwise keeps the share `kept` of its excess: fog that has
+    gone must not be sampled for ever.
     """
     for s in range(len(positions)):
         at = cell_index(positions, s, side)

@@ -1,7 +1,7 @@
-"""The first points as a second witness: what a field shows there, whichever way it is looked at.
+"""The first points as a second witness: the field's look there, from any side.
 
-Places that one view sees, or none, are what rays say least about. Gaussians start there with the colours of the first
-points, and keep them. A field has no such start, for its features are shared: it is reminded of them in every step.
+Rays say least about places that one view sees, or none. Gaussians start there with the colours of the first points, and
+keep them. A field has no such start, for its features are shared: it is reminded of them in every step.
 """
 
 from collections.abc import Callable
@@ -23,7 +23,7 @@ PointLoss = Callable[[Tensor, Tensor], Tensor]
 
 @dataclass(frozen=True)
 class Anchors:
-    """First points, and what a field should show there.
+    """First points, and the colours that a field should show there.
 
     Attributes:
         positions: Of the points in the unit cube, float32 [P, 3].

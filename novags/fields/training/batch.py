@@ -1,4 +1,4 @@
-"""One step's rays: which pixels, their samples, and what the field says there."""
+"""One step's rays: which pixels, their samples, and the field's outputs there."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ from novags.splats.views import Views
 
 @dataclass(frozen=True)
 class Batch:
-    """What a loss sees.
+    """The input of a loss.
 
     Attributes:
         iteration: From 0.

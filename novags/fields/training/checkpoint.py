@@ -66,7 +66,7 @@ def _maps(state: FieldState) -> dict[str, Tensor]:
 
 
 def save_state(path: Path, state: FieldState, settings: dict[str, object]) -> None:
-    """Write the state, atomically; `settings` is what the run was started with, JSON-able, compared on resume."""
+    """Write the state, atomically; `settings` are the run's at its start, JSON-able, compared on resume."""
     groups = {"value": state.tensors(), "first": state.first, "second": state.second}
     tensors = {f"{group}.{name}": t.detach() for group, part in groups.items() for name, t in part.items()}
     tensors |= _maps(state)
@@ -75,7 +75,7 @@ def save_state(path: Path, state: FieldState, settings: dict[str, object]) -> No
 
 
 def load_state(path: Path, settings: dict[str, object], layout: Layout, extra: Mapping[str, Tensor]) -> FieldState:
-    """Read what `save_state` wrote; `extra` tensors are changed in place.
+    """Read a file of `save_state`; `extra` tensors are changed in place.
 
     Raises:
         ValueError: If the file is not a training checkpoint of a field, or belongs to a run with other settings.
@@ -106,7 +106,7 @@ def load_state(path: Path, settings: dict[str, object], layout: Layout, extra: M
         for name, t in wanted.items()
     )
     if not fits:
-        raise ValueError(f"{path} is damaged (its tensors are not those of the field): delete it to start again")
+        raise ValueError(f"{path} is damaged (its tensors do not fit the field): delete it to start again")
     for name, tensor in wanted.items():
         tensor.detach().copy_(tensors[name])
     for name, value in rest.items():

@@ -24,7 +24,7 @@ class FieldFitConfig:
         near_scale: Gradients of samples nearer than this share of the scene's reach (`Box.middle`) fall with the square
             of the distance: there, few pixels decide alone, and fog before a camera would explain its picture
             (Philip and Deschaintre 2023, "Floaters no more"); 0: they do not.
-        anchored: Weight of what the field should show at the first points, where a method says so; see `Anchors`.
+        anchored: Weight of the loss at the first points, where a method says so; see `Anchors`.
         points: Whether the field starts dense where the first points are; if not, it starts as fog.
         layout: Sizes of the field; a method adds its outputs.
         seed: Of every random choice.

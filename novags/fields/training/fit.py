@@ -38,7 +38,9 @@ Progress = Callable[[int, int, dict[str, float]], None]
 
 @dataclass(frozen=True, kw_only=True)
 class FieldFit:
-    """A trained field: see `FieldState`, the wall time with that of stopped runs before this one, and theirs alone."""
+    """A trained field: see `FieldState`, the wall time including stopped runs before this one, and the time of these
+    runs alone.
+    """
 
     state: FieldState
     seconds: float
@@ -66,7 +68,7 @@ def fit_field(
         loss: Scalar loss of a Batch, to which the distortion is added.
         config: How to train.
         at_points: Scalar loss of (which of the points [n], the field's outputs there [n, K]), with `config.anchored` as
-            its weight; None: rays alone say what the field shows.
+            its weight; None: rays alone decide on the field.
         extra: Further tensors to be trained, by name, at their start; the loss reads what `fit_field` has trained from
             these same tensors, which it changes in place.
         progress: Called every LOG_EVERY steps and at the end with (steps done, of how many, log entry).
@@ -130,7 +132,7 @@ def _step(
     state: FieldState, views: Views, box: Box, loss: Loss, anchors: Anchors | None, config: FieldFitConfig,
     iteration: int,
 ) -> float:  # fmt: skip
-    """One step; a step that raises NotFinite leaves the state as it was, the map of densities too."""
+    """One step; a step that raises NotFinite leaves the state unchanged, the map of densities too."""
     rng, looked, mapped = np.random.default_rng([config.seed, iteration, 0xBA7C4]), state.looked, None
     if iteration % REFRESH == 0:
         mapped = state.proposal.density.copy()

@@ -1,1 +1,1 @@
-"""What counting statistics across views can give: exposures brought together by the true surface, and averaged."""
+"""The limit of counting statistics across views: exposures brought together by the true surface, and averaged."""

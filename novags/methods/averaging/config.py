@@ -1,4 +1,4 @@
-"""What is chosen of the average over views."""
+"""Settings of the average over views."""
 
 from dataclasses import dataclass, field
 from typing import Literal
@@ -11,14 +11,14 @@ Kernel = Literal["cubic", "linear"]
 
 @dataclass(frozen=True, kw_only=True)
 class AveragingConfig:
-    """What is averaged, and what counts as seeing a pixel.
+    """The exposures to average, and when a view counts as seeing a pixel.
 
-    The surface is taken to look the same from everywhere: what shines or mirrors is averaged all the same, and costs
+    The surface is taken to look the same from everywhere: shiny things and mirrors are averaged all the same, and costs
     the noise-free average too.
     """
 
     exposures: Literal["noisy", "noise-free"] = "noisy"
-    pictures: Pictures = "8bit"  # through whose enhancement the average goes; what is averaged is linear, 16-bit
+    pictures: Pictures = "8bit"  # through whose enhancement the average goes; averaged are linear 16-bit ones
     enhance: Enhancement = field(default_factory=EnhanceConfig)
     kernel: Kernel = "cubic"
     tolerance: float = 0.01  # relative difference of depth up to which two views see the same surface

@@ -1,4 +1,4 @@
-"""The training exposures as a scene: whatever camera is asked for, they are brought to it and averaged."""
+"""The training exposures as a scene: they are brought to any requested camera and averaged."""
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -44,10 +44,10 @@ def average(
 
     Args:
         target: The camera.
-        sources: Those of the exposures.
+        sources: Cameras of the exposures.
         exposures: Linear light.
         variances: Of the exposures' noise, > 0, the same shape.
-        rules: What counts as seeing a pixel.
+        rules: When a view counts as seeing a pixel.
         rows: Flat indices [n] of the wanted pixels; None: all.
     """
     rows = np.arange(target.planes[..., 0].size) if rows is None else rows
@@ -74,7 +74,7 @@ class AveragedScene:
         exposures: Linear light [C, h, w, 3].
         variances: Of the exposures' noise.
         known: Every camera whose surface is known, held-out ones too.
-        rules: What counts as seeing a pixel; where nothing does, edges and coarse pixels count too.
+        rules: When a view counts as seeing a pixel; where none does, edges and coarse pixels count too.
         enhance: (sRGB-encoded [h, w, 3], index of the training view whose camera is the nearest) -> enhanced.
     """
 
@@ -115,7 +115,7 @@ class AveragedScene:
         return found
 
     def camera(self, viewmat: Array, K: Array, height: int, width: int) -> Camera:
-        """The camera with its surface: as it is known, or for another camera as all known ones together show it."""
+        """The camera with its surface: the known one, or for another camera the joint surface of all known cameras."""
         reach = _reach(self.known)
         for camera in self.known:
             turn, shift = _apart(camera.viewmat, viewmat)
@@ -129,7 +129,7 @@ class AveragedScene:
         return int(np.argmin([turn + shift / reach for turn, shift in apart]))
 
     def save(self, folder: Path) -> None:
-        """Write the exposures' cameras and surfaces with what was averaged, scene/exposures.npz."""
+        """Write the exposures with their cameras and surfaces, scene/exposures.npz."""
         with atomic(folder / "scene" / "exposures.npz") as temporary:
             np.savez_compressed(
                 temporary, viewmats=np.stack([c.viewmat for c in self.sources]),

@@ -99,7 +99,7 @@ def _brought(camera: Camera, viewmat: Array, K: Array, height: int, width: int) 
     motion = viewmat @ np.linalg.inv(camera.viewmat)
     points = rays_of(camera.K, *camera.size)[surface] / camera.inverse_depth[surface][:, None]
     points = points @ motion[:3, :3].T + motion[:3, 3]
-    # The plane (m, -1) of homogeneous coordinates goes with the inverse of what points go with.
+    # The plane (m, -1) of homogeneous coordinates transforms with the inverse of the points' matrix.
     turned = np.concatenate([camera.planes[surface], -np.ones((len(points), 1))], 1) @ np.linalg.inv(motion)
     ahead = points[:, 2] > 0
     points, turned = points[ahead], turned[ahead]

@@ -66,7 +66,7 @@ def train(
 
 
 def cameras_of(surface: TrueSurface, tolerance: float) -> list[Camera]:
-    """The cameras of all views with what they see."""
+    """The cameras of all views with their surfaces."""
     return [Camera.of(*view, tolerance)
             for view in zip(surface.viewmats, surface.Ks, surface.depth, surface.normals, strict=True)]  # fmt: skip
 

@@ -38,7 +38,7 @@ class Rules:
 
 
 def warp(target: Camera, source: Camera, rows: NDArray[np.intp], rules: Rules) -> tuple[csr_array, Mask]:
-    """What some pixels of `target` take from `source`.
+    """The samples that some pixels of `target` take from `source`.
 
     Args:
         target: The camera whose picture is wanted.
@@ -78,7 +78,7 @@ def centres_of(rows: NDArray[np.intp], camera: Camera) -> Array:
 
 
 def homographies_of(target: Camera, source: Camera, rows: NDArray[np.intp]) -> Array:
-    """From image points of `target` to those of `source`, by the plane of each of these pixels, [n, 3, 3]."""
+    """From image points of `target` to image points of `source`, by the plane of each of these pixels, [n, 3, 3]."""
     motion = source.viewmat @ np.linalg.inv(target.viewmat)
     planes = target.planes.reshape(-1, 3)[rows]
     between = motion[:3, :3] + motion[:3, 3][None, :, None] * planes[:, None, :]
@@ -110,7 +110,7 @@ def _seen(
 
 
 def _jacobian(homographies: Array, centres: Array) -> Array:
-    """How far image points of the source move with those of the target, [n, 2 (u, v), 2 (x, y)]."""
+    """How far image points of the source move with image points of the target, [n, 2 (u, v), 2 (x, y)]."""
     points, factor = moved(homographies, centres)
     factor = np.where(np.abs(factor) > 1e-12, factor, 1e-12)  # as in `moved`
     slope = homographies[:, :2, :2] - points[:, :, None] * homographies[:, 2:, :2]
@@ -130,7 +130,7 @@ def _finest(homographies: Array, centres: Array) -> Array:
 def _places(centres: Array, steps: Array, homographies: Array, count: int) -> Array:
     """Image points of the source at which pixels are sampled, [n, count^2, 2].
 
-    A pixel of the source is an average over its own area already. The samples are spread over what lacks to the area of
+    A pixel of the source is an average over its own area already. The samples are spread over the rest of the area of
     the target's pixel: variances of box filters add.
     """
     reach = np.sqrt(np.maximum(0.0, 1 - 1 / np.maximum(steps, 1.0) ** 2))
@@ -162,7 +162,9 @@ def _keys(x: Array) -> Array:
 
 
 def _on_surface(source: Camera, nearest: NDArray[np.intp], columns: NDArray[np.intp], single: Mask) -> Mask:
-    """Which pixels [n, samples, taps] may be used; of rows that show a single surface, those that show it alone."""
+    """Which pixels [n, samples, taps] may be used; of rows that show a single surface, the pixels that show it
+    alone.
+    """
     rows = np.broadcast_to(nearest[:, None, None], columns.shape).ravel()
     flat = columns.ravel()
     expected = source.at(rows, centres_of(flat, source))

@@ -4,13 +4,13 @@ With y = s P + n, P Poisson of mean m, n normal of variance o, and everything di
 
     T(e) = 2 sqrt(e + 3/8 + o / s**2)        (Murtagh, Starck, Bijaoui 1995, "Image restoration with noise suppression")
 
-has a variance near 1 whatever m is. Below e = 0 the transform continues as its tangent there. No datum is cut, so the
+has a variance near 1 for any m. Below e = 0 the transform continues as its tangent there. No datum is cut, so the
 transform can be inverted everywhere; where read noise dominates, which is where data fall below zero, the tangent is as
-good a stabiliser as the root. The variance tends to that of the read noise over `o / s**2 + 3/8` as m goes to 0: less
-than 1 where read noise is small, because no transform can stabilise a pixel that counts nothing.
+good a stabiliser as the root. The variance tends to the read noise's variance over `o / s**2 + 3/8` as m goes to 0:
+less than 1 where read noise is small, because no transform can stabilise a pixel that counts nothing.
 
-`inverse` is the algebraic inverse: it turns T(m) back into m. That is what an estimate needs which was trained to be
-T(m) itself. An average of T(y) is another thing: E T(y) < T(m), by about 1/(4 sqrt(m)), and needs an unbiased inverse.
+`inverse` is the algebraic inverse: it turns T(m) back into m. An estimate that was trained to be T(m) itself needs this
+inverse. An average of T(y) is another thing: E T(y) < T(m), by about 1/(4 sqrt(m)), and needs an unbiased inverse.
 """
 
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""What is chosen of the denoising of raw data, and of the method that fits what it gives."""
+"""Settings of the denoising of raw data, and of the method that fits the denoised data."""
 
 from dataclasses import dataclass, field
 
@@ -33,7 +33,7 @@ class AdaptConfig:
 class DenoiseConfig:
     """How the pictures are denoised."""
 
-    adapt: AdaptConfig | None = field(default_factory=AdaptConfig)  # to the capture; None: the network as it comes
+    adapt: AdaptConfig | None = field(default_factory=AdaptConfig)  # to the capture; None: the network as shipped
     turns: int = TURNS  # flips and quarter turns whose estimates are averaged
 
     def __post_init__(self) -> None:
@@ -45,8 +45,8 @@ class DenoiseConfig:
 class DenoisedConfig:
     """Denoising, then enhancement and fit as in the method that fits the noisy pictures.
 
-    What is denoised are the raw data, or linear pictures; `pictures` are those whose enhancement the denoised ones go
-    through, so that they are compared with the same reference as the noisy ones.
+    The raw data are denoised, or linear pictures. The denoised pictures go through the enhancement of `pictures`, so
+    that they are compared with the same reference as the noisy ones.
     """
 
     pictures: Pictures = "8bit"

@@ -16,7 +16,7 @@ def denoised(
     """The pictures without noise, in linear light [C, H, W, 3], clipped and in the unit as `Measured.linear` says.
 
     Args:
-        pictures: What was measured.
+        pictures: The measurements.
         config: All choices.
         seed: Of the adaptation.
         progress: As for `recorrupted.adapt`.

@@ -1,4 +1,4 @@
-"""What a capture has measured, in electrons: the data that a denoiser works on, whatever camera they come from."""
+"""The measurements of a capture, in electrons: the data that a denoiser works on, from any camera."""
 
 from dataclasses import dataclass, fields, replace
 
@@ -57,7 +57,7 @@ class Measured:
     def linear(self, electrons: Tensor) -> Tensor:
         """Electrons [C, 3, H, W] -> linear light [C, H, W, 3] in the unit of `Problem.linear16`.
 
-        Not clipped, but for what exceeds 1 before a colour matrix: development clips there too.
+        Not clipped, but for values above 1 before a colour matrix: development clips there too.
         """
         light = electrons.movedim(1, -1) * self.to_linear
         return light if self.matrix is None else light.clamp_max(1.0) @ self.matrix.T
@@ -75,7 +75,7 @@ def measured(problem: Problem) -> Measured:
 def of_capture(
     noise: Noise | None, raw: RawPictures | None, linear16: Tensor | None, shared: tuple[str, ...]
 ) -> Measured:
-    """The data of a capture in electrons, from what a `Problem` would hold of it; see `measured`."""
+    """The data of a capture in electrons, from the fields of a `Problem`; see `measured`."""
     if noise is None:
         raise LacksInput(
             "denoising needs the noise of the data, and of this capture it is not known: name its camera, or take a "
@@ -92,7 +92,7 @@ def in_electrons(data: MeasuredLight) -> Measured:
     """
     if data.shared:
         raise LacksInput(
-            f"denoising needs data whose noise is independent, and without raw frames that of neighbouring pixels is "
+            f"denoising needs data whose noise is independent, and without raw frames neighbouring pixels' noise is "
             f"shared through {' and '.join(data.shared)}: take a method that works on the pictures alone"
         )
     curve, like = data.noise.curve, data.light

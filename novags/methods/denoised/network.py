@@ -1,8 +1,8 @@
 """The network: a residual U-Net on packed pixels in units of the noise.
 
 It is given data whose noise has variance 1 (see `anscombe`), which pixels of which channels were measured, and how much
-of the noise is read noise; it returns what it takes for the noise-free value of every channel of every pixel. Channels
-that were not measured start from their bilinear interpolation, so that of a mosaic it demosaics as well.
+of the noise is read noise; it returns its estimate of the noise-free value of every channel of every pixel. Channels
+that were not measured start from their bilinear interpolation, so it also demosaics a mosaic.
 """
 
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from novags.methods.denoised.packing import filled, pack, unpack
 CHANNELS = 12  # of a packed cell: three colours of 2 x 2 pixels
 SCALE = 8.0  # of local means in units of the noise: brings twenty electrons to about one
 LARGEST_READ_VARIANCE = 18.0  # electrons**2, of the cameras in training
-WINDOW = 5  # px, of local means: the network is given what differs from them, in which noise is of order one
+WINDOW = 5  # px, of local means: the network is given the difference from them, in which noise is of order one
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,8 +91,8 @@ class Network(nn.Module):
         """The noise to subtract from pictures without gaps, whose sides every level divides, [B, 3, H, W]."""
         smooth = F.avg_pool2d(base, WINDOW, 1, WINDOW // 2, count_include_pad=False)
         x = pack(base - smooth)
-        # 1/8: cameras without read noise have a level, too. Beyond what it was trained with, noise is as good as all
-        # read noise, and a network does not know what larger numbers mean.
+        # 1/8: cameras without read noise have a level, too. Beyond the levels of its training, noise is as good as all
+        # read noise, and a network does not know the meaning of larger numbers.
         level = torch.log2(read_variance.mean(1).clamp_max(LARGEST_READ_VARIANCE) + 1 / 8) / 4
         constant = level[:, None, None, None].expand(-1, 1, *x.shape[-2:])
         inputs = torch.cat([x, F.avg_pool2d(smooth, 2) / SCALE, pack(mask), constant], 1)

@@ -2,7 +2,7 @@
 
 A picture of any camera is [B, 3, H, W] with a mask of the same shape: all ones of three chips, one of three behind a
 colour filter array. Packing moves each 2 x 2 cell into 12 channels at half the size, so that one network serves both:
-of a mosaic the mask says which filter lies where, in whatever way the picture was flipped or turned.
+of a mosaic the mask says which filter lies where, however the picture was flipped or turned.
 """
 
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ from sensor_model.params import Cfa
 
 
 def mask_of(size: Sequence[int], cfa: Cfa | None) -> Tensor:
-    """What a camera measures, float32 [1, 3, H, W] of zeros and ones; `size`: (H, W)."""
+    """The samples that a camera measures, float32 [1, 3, H, W] of zeros and ones; `size`: (H, W)."""
     height, width = size
     if cfa is None:
         return torch.ones(1, 3, height, width)
@@ -33,7 +33,7 @@ _TENT = torch.tensor([[1.0, 2.0, 1.0], [2.0, 4.0, 2.0], [1.0, 2.0, 1.0]])
 
 
 def filled(values: Tensor, mask: Tensor) -> Tensor:
-    """Measured values as they are, the missing ones as the weighted mean of their measured neighbours (bilinear).
+    """Measured values unchanged, the missing ones as the weighted mean of their measured neighbours (bilinear).
 
     Args:
         values: [B, 3, H, W], anything where the mask is 0; at least 2 px a side.

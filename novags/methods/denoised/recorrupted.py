@@ -4,10 +4,10 @@ With z of the same variance as the noise of y, drawn anew,
 
     y1 = y + a z        y2 = y - z / a
 
-have independent noise of variance (1 + a**2) and (1 + 1 / a**2) times that of y: independent for Gaussian noise,
-uncorrelated for any. A network that predicts y2 from y1 learns the mean of y, as if y2 were a second exposure. The
-variance of z is the known one at the network's own estimate of the mean before it is adapted; at y itself, z would be
-correlated with the noise of dark pixels, whose variance cannot be negative.
+have independent noise of variance (1 + a**2) and (1 + 1 / a**2) times the variance of y: independent for Gaussian
+noise, uncorrelated for any. A network that predicts y2 from y1 learns the mean of y, as if y2 were a second exposure.
+The variance of z is the known one at the network's own estimate of the mean before it is adapted; at y itself, z would
+be correlated with the noise of dark pixels, whose variance cannot be negative.
 
 How far the adapted network is followed is decided by the same two copies (see `blend`).
 
@@ -72,7 +72,7 @@ class Adaptation:
         return ((found - wanted).square() / (variance * (1 + 1 / a**2))).sum() / mask.sum()
 
     def advance(self) -> float:
-        """One step; returns the loss, about 1 plus what the estimate is off.
+        """One step; returns the loss, about 1 plus the error of the estimate.
 
         Raises:
             ValueError: If the loss is not finite.

@@ -1,4 +1,4 @@
-"""Denoise the raw data, develop, enhance, then fit Gaussians to the result: what 2D denoising alone can give."""
+"""Denoise the raw data, develop, enhance, then fit Gaussians to the result: the limit of 2D denoising alone."""
 
 import dataclasses
 import hashlib
@@ -32,7 +32,7 @@ def train(
     """Reconstruct from denoised pictures.
 
     Args:
-        problem: The problem; its seed and extent override those of `config.fit`.
+        problem: The problem; its seed and extent override `config.fit`.
         config: All choices.
         progress: Called with (steps done, of how many, losses); steps of the adaptation and of the fit count alike.
         checkpoint: As in `splats.fit`. The denoised pictures are kept beside it, in `<stem>.denoiser.safetensors`.

@@ -12,7 +12,7 @@ from sensor_model.files.registry import Later
 
 
 def parts(config: EnhancedFitConfig) -> dict[str, int]:
-    """`Method.parts`: what the enhancer learns from the scene, if it does, then the fit."""
+    """`Method.parts`: the enhancer's training on the scene, if there is one, then the fit."""
     kind = network_of(config.enhance)
     steps = 0 if kind is None else learning_steps(kind, config)
     return {"enhancer": steps, **fit_parts(config)} if steps else fit_parts(config)
@@ -29,7 +29,7 @@ def learning_steps(kind: Any, config: EnhancedFitConfig) -> int:
 
 
 def by_enhancer(enhance: Enhancement, title: str, color: str, source: str) -> Method:
-    """What `naive` is, with another enhancement."""
+    """A method like `naive`, with another enhancement."""
     return Method(
         title=f"{title}, then fit as naive does", family="2D + GS", color=color, source=source,
         config=partial(EnhancedFitConfig, enhance=enhance),

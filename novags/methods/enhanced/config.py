@@ -1,4 +1,4 @@
-"""What all methods with a fit of Gaussians to enhanced pictures choose."""
+"""Settings of all methods with a fit of Gaussians to enhanced pictures."""
 
 from dataclasses import dataclass, field
 
@@ -6,8 +6,8 @@ from novags.methods.enhancers.choice import EnhanceConfig, Enhancement
 from novags.methods.inputs import Pictures
 from novags.splats.training.config import FitConfig, LearningRates, McmcConfig
 
-# What 3DGS-MCMC itself does: the rate of the means falls over 30,000 iterations however long the run is, and Gaussians
-# move until iteration 25,000.
+# The schedule of 3DGS-MCMC itself: the rate of the means falls over 30,000 iterations however long the run is, and
+# Gaussians move until iteration 25,000.
 ORIGINAL_FIT = FitConfig(rates=LearningRates(schedule="original"), mcmc=McmcConfig(refine_stop=25_000))
 
 

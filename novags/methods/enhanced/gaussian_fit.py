@@ -39,7 +39,7 @@ def reconstructed(
     Args:
         result: Of the fit.
         config: The method's, with the `fit` that was done.
-        scene: What the fit has trained, as it is shown.
+        scene: The trained scene, as shown.
         space: As in `Reconstruction`.
         started: `time.perf_counter()` at the beginning of the method.
         more: Further attributes of the `Reconstruction`.
@@ -66,7 +66,7 @@ def fit_enhanced(
     """Fit Gaussians to the pictures that `enhance` returns for the problem.
 
     Args:
-        problem: The problem; its seed and extent override those of `config.fit`.
+        problem: The problem; its seed and extent override `config.fit`.
         config: All choices.
         enhance: (problem, configuration, pictures) -> [C, H, W, 3].
         progress: As in `splats.fit`.

@@ -1,6 +1,6 @@
 """A dark picture in, a bright one out: one file per enhancer in `rows`, one line of text in `ENHANCERS`.
 
-What is here needs no picture; `applying.py` has what enhances one.
+The functions here need no picture; `applying.py` enhances pictures.
 """
 
 import dataclasses
@@ -58,7 +58,8 @@ def network_of(config: Any) -> Any:
 
 
 def refuse_without_weights(config: Any, name: str) -> None:
-    """Refuse what is known to fail before any picture is taken: a network without weights that learns from no scene.
+    """Refuse settings that are known to fail before any picture is taken: a network without weights that learns from no
+    scene.
 
     Args:
         config: Of a method.
@@ -77,7 +78,7 @@ def refuse_without_weights(config: Any, name: str) -> None:
 
 
 def enhancement_record(config: Enhancement, pictures: Pictures) -> dict[str, Any]:
-    """What a run records about its enhancement.
+    """A run's record of its enhancement.
 
     Raises:
         ValueError: If no enhancer has such a configuration.

@@ -1,6 +1,6 @@
-"""What a method's setting `enhance` may be, and its default, the configuration of the paper's enhancement.
+"""Values of a method's setting `enhance`, and its default, the configuration of the paper's enhancement.
 
-Every method imports this file: it names no code of an enhancer, that of `guided.py` neither.
+Every method imports this file: it names no code of an enhancer, not even `guided.py`.
 """
 
 import math

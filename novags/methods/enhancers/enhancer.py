@@ -24,7 +24,7 @@ class Enhancer:
             very same enhancement.
         typical: (params of several views) -> the params in their middle, for a picture that has no noisy twin.
         network: () -> the `networks.Kind` behind it, if it is a network.
-        title: What it does, in a few words.
+        title: Its work, in a few words.
     """
 
     config: type
@@ -35,7 +35,7 @@ class Enhancer:
 
 
 def stamps(config: Any) -> tuple[tuple[int, ...], ...]:
-    """What changes when a file of weights does that a configuration names; beside it in keys of results."""
+    """A digest that changes with the files of weights that a configuration names; beside it in keys of results."""
     return tuple(_stamp(path) for path in getattr(config, "weights", None) or ())
 
 

@@ -3,7 +3,7 @@
 `dark` is the sRGB-encoded input in 0..1, `brightness` (L) its edge-preserving smooth version, `gamma` the exponent that
 brings the mean of L**gamma to the target exposure, `ratio` (R) the factor every pixel is multiplied with. Images are
 [H, W, 3] or [C, H, W, 3]; every image gets its own gamma and epsilon. Every colour channel has a brightness map of its
-own, guided by itself, or all three share that of the luminance.
+own, guided by itself, or all three share the luminance's map.
 """
 
 from collections.abc import Sequence
@@ -32,7 +32,7 @@ class EnhanceParams:
 
 
 def typical(params: Sequence[EnhanceParams]) -> EnhanceParams:
-    """The parameters in the middle of those of several single images: the mean gamma and epsilon."""
+    """Typical parameters of several single images: the mean gamma and epsilon."""
     return EnhanceParams(
         gamma=torch.stack([each.gamma for each in params]).mean(),
         epsilon=torch.stack([each.epsilon for each in params]).mean(),
@@ -69,7 +69,7 @@ def guided_filter(image: Tensor, radius: int, epsilon: Tensor) -> Tensor:
 
 
 def _guides(images: Tensor, config: EnhanceConfig) -> Tensor:
-    """What the brightness maps are made of, [B, 3, H, W] or [B, 1, H, W], from images [B, 3, H, W]."""
+    """The source of the brightness maps, [B, 3, H, W] or [B, 1, H, W], from images [B, 3, H, W]."""
     if config.guide == "channel":
         return images
     return (images * images.new_tensor(LUMINANCE)[:, None, None]).sum(1, keepdim=True)

@@ -1,15 +1,15 @@
 """MBLLEN (Lv et al. 2018, "MBLLEN: Low-light Image/Video Enhancement Using CNNs").
 
 Ten convolutions one after the other extract features; from each, a small network of its own goes down by three and up
-by three convolutions to a picture, and a last convolution mixes the ten pictures. Names are those that Keras gave the
-layers of the official files, which are converted on reading.
+by three convolutions to a picture, and a last convolution mixes the ten pictures. Keras gave the layers of the official
+files their names; the files are converted on reading.
 
-What the authors' program does to the result is kept, with its defaults: if fewer than 5 % of the pixels are brighter
-than 0.8, the picture is multiplied until the 95th percentile is there; the 5th percentile becomes black; the
-saturation S becomes S^0.8. The factor and the percentile are parameters of a picture, which its twin shares.
+The last steps of the authors' program are kept, with its defaults: if fewer than 5 % of the pixels are brighter than
+0.8, the picture is multiplied until the 95th percentile is there; the 5th percentile becomes black; the saturation S
+becomes S^0.8. The factor and the percentile are parameters of a picture, which its twin shares.
 
-Deviations: the grey level takes 0.114 of blue, where the program takes it of green again; what lies below the 5th
-percentile is cut at black before the saturation, not after; pictures smaller than 13 px are extended by their border.
+Deviations: the grey level takes 0.114 of blue, where the program takes it of green again; values below the 5th
+percentile are cut at black before the saturation, not after; pictures smaller than 13 px are extended by their border.
 It does not learn from a scene: it needs pairs.
 """
 
@@ -62,7 +62,7 @@ class Mbllen(nn.Module):
 
 
 def from_keras(tensors: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
-    """Tensors of an official file under the names and in the order of axes of this network; others as they are."""
+    """Tensors of an official file under the names and in the order of axes of this network; others unchanged."""
     kinds = {"kernel:0": "weight", "bias:0": "bias"}
     found = {}
     for path, value in tensors.items():
@@ -85,7 +85,9 @@ def run(network: nn.Module, picture: Tensor, config: MbllenConfig) -> Tensor:
 
 
 def adjust(bright: Tensor, config: MbllenConfig, params: np.ndarray | None) -> tuple[Tensor, np.ndarray]:
-    """What the program does to a result [1, 3, H, W]; factor and black level [2] are chosen if they are not given."""
+    """The program's last steps on a result [1, 3, H, W]; factor and black level [2] are chosen if they are not
+    given.
+    """
     if params is None:
         params = _chosen(bright.double()) if config.adjusted else np.array([1.0, 0.0])
     if not config.adjusted:

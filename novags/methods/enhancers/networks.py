@@ -1,10 +1,10 @@
-"""What all enhancing networks have in common: where their weights come from, and how a picture goes through one.
+"""The common part of all enhancing networks: where their weights come from, and how a picture goes through one.
 
 The configuration of each is a frozen dataclass with `weights`, files or None.
 
-A network is the same function for every picture. It is not parametrised by one, and so a noise-free exposure goes
-through it as it is: what differs then from its noisy twin's result is what the noise has changed, wherever in the
-network. Only what a method does to the result afterwards may have parameters of a picture.
+A network is the same function for every picture. It has no parameters of a picture, so a noise-free exposure goes
+through it unchanged: the difference from its noisy twin's result is then due to the noise alone, wherever in the
+network. Only later steps of a method may have parameters of a picture.
 """
 
 from collections import OrderedDict
@@ -54,10 +54,10 @@ class Kind:
         name: For people.
         make: (config) -> a network, its weights as at the start of a training.
         run: (network, picture [1, 3, H, W], config) -> enhanced picture, the same shape.
-        finish: (that, config, params or None) -> the picture after what the method does to it then, and its parameters.
+        finish: (that, config, params or None) -> the picture after the method's last steps, and its parameters.
         renamed: Names of official tensors -> names of the network's own.
         rehearsal: How it learns from a scene; None: it cannot.
-        where: Where weights come from, for those who have none.
+        where: Where to get weights, for users who have none.
     """
 
     name: str
@@ -73,7 +73,7 @@ class Kind:
 
         Raises:
             LacksInput: If it names none.
-            ValueError: If a file is missing or damaged, or holds those of another network.
+            ValueError: If a file is missing or damaged, or holds another network's weights.
         """
         self.refuse_without_weights(config)
         key = (self.name, config, stamps(config))
@@ -93,7 +93,7 @@ class Kind:
             raise LacksInput(f"{self.name} has no weights: set enhance.weights to {self.where}{how}")
 
     def picture(self, network: nn.Module, dark: Tensor, config: Any, params: Any = None) -> tuple[Tensor, Any]:
-        """One picture [H, W, 3] through the network, in 0..1, and the parameters of what follows."""
+        """One picture [H, W, 3] through the network, in 0..1, and the parameters of the last steps."""
         check_picture(dark)
         network.to(dark.device)
         with torch.no_grad():
@@ -111,7 +111,7 @@ def no_params(params: Sequence[None]) -> None:
 
 
 def described(weights: Sequence[Path]) -> dict[str, Any]:
-    """What a run records of files of weights: their names and the digest of their content."""
+    """A run's record of files of weights: their names and the digest of their content."""
     return {"files": [path.name for path in weights], "digest": digest_of(weights)}
 
 

@@ -1,4 +1,6 @@
-"""What several methods do with a picture: refuse what is none, find the exponent for a mean, say how far it is off."""
+"""Helpers of several methods on pictures: refuse other data, find the exponent for a mean, say how far a mean is
+off.
+"""
 
 import torch
 import torch.nn.functional as F

@@ -37,7 +37,7 @@ def learned(
         kind: Of the network; one that can learn so.
         config: Of the enhancer.
         pictures: [C, H, W, 3], sRGB-encoded in 0..1.
-        seed: Of the first weights and of the crops; what a step draws depends on it and on the step's number alone.
+        seed: Of the first weights and of the crops; the draws of a step depend on it and on the step's number alone.
         progress: Called after every step with (steps done, of how many, {"enhancer": loss}).
         more: Steps that are to follow after these, for `progress`.
         checkpoint: Where the state is kept, and continued from. It stays when the training is over.

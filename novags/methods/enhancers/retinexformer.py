@@ -4,7 +4,7 @@ Enhancement").
 An estimator gives a light-up map and features of the light; the picture times the map, plus itself, goes through a
 U-Net of two levels whose blocks attend over channels: each head compares its channels over all pixels, and its values
 are multiplied with the features of the light (illumination-guided attention). Sizes as published: 40 features, 1, 2 and
-2 blocks, 1.6 million parameters; one stage. Names of the layers are those of the authors' code (MIT), so that official
+2 blocks, 1.6 million parameters; one stage. The layers have the names of the authors' code (MIT), so that official
 files fit.
 
 Deviations: pictures are extended to a multiple of 4 px by repeating their border, not by reflection, which needs larger

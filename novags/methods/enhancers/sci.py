@@ -11,10 +11,10 @@ condition was found. `additivity` is this project's reading: with s the calibrat
 H(y + s) - H(y) - H(s), a penalty in every stage after the first. It is 0, that is SCI, unless it is set.
 
 Deviations: it learns from random crops of the scene's own pictures, in fewer steps; official weights keep H with the
-statistics of its batch normalisation, which hold for whole pictures. Colours of the smoothness are those of BT.601,
-where the authors' code has 0.564 instead of 0.504 of green and takes three neighbours in a row of one channel for the
-three channels of a pixel: of pictures in 0..1 every weight is 0.99 to 1 either way. Biases of convolutions begin as
-torch draws them, there at 0.
+statistics of its batch normalisation, which hold for whole pictures. The smoothness weighs colours by BT.601. The
+authors' code has 0.564 instead of 0.504 of green and takes three neighbours in a row of one channel for the three
+channels of a pixel. For pictures in 0..1 every weight is 0.99 to 1 either way. Biases of convolutions begin as torch
+draws them, there at 0.
 """
 
 import torch
@@ -53,7 +53,7 @@ class Illumination(nn.Module):
         self.out_conv = nn.Sequential(_conv(width, 3), nn.Sigmoid())
 
     def added(self, x: Tensor) -> Tensor:
-        """H(x), what an illumination has beyond the picture."""
+        """H(x), the difference between illumination and picture."""
         seen = self.in_conv(x)
         for block in self.blocks:
             seen = seen + block(seen)
@@ -78,7 +78,7 @@ class Calibrator(nn.Module):
         self.out_conv = nn.Sequential(_conv(width, 3), nn.Sigmoid())
 
     def forward(self, r: Tensor) -> Tensor:
-        """What is added to the picture: [B, 3, H, W]."""
+        """The summand for the picture: [B, 3, H, W]."""
         seen = self.in_conv(r)
         for block in self.blocks:
             seen = seen + block(seen)

@@ -6,13 +6,13 @@ a network for each of both, all rounds with the same weights:
     P = (I Q + g R) / (Q² + g),   Q = (sum_c I_c P_c + l L) / (sum_c P_c² + l),   R <- net(P, Q),   L <- net(Q)
 
 with g = 0.1 and l = 0.5, both 0.05 larger in each further round. A last network brightens L by a ratio, and the result
-is that times R. The authors' files are three; that of the last network holds the others as well.
+is that times R. The authors' files are three; the last network's file holds the others as well.
 
-Code and files are for non-commercial use, so the code was not read. Names and sizes of the layers are those of the
-official files; the equations and constants are published. What neither says was chosen by what the official weights
-make of dark photographs. In all networks but that of R the slopes leak by 0.2: only so R L is the picture (to 0.004
-instead of 0.1) and L close to Q (0.017 instead of 0.09). In that of R they do not, and P is added to its result: only
-so it removes noise. The last network takes L before the ratio: only so its result stays near 1.
+Code and files are for non-commercial use, so the code was not read. Names and sizes of the layers follow the official
+files; the equations and constants are published. Everything else was chosen by the results of the official weights on
+dark photographs. In all networks except R's the slopes leak by 0.2: only so R L is the picture (to 0.004 instead of
+0.1) and L close to Q (0.017 instead of 0.09). In R's network they do not, and P is added to its result: only so it
+removes noise. The last network takes L before the ratio: only so its result stays near 1.
 
 It does not learn from a scene: it needs pairs.
 """
@@ -26,12 +26,12 @@ from torch import Tensor, nn
 from novags.methods.enhancers.networks import Kind
 
 ROUNDS = 3
-FIRST_R, FIRST_L, MORE = 0.1, 0.5, 0.05  # weights of the first round, and what each further one adds
+FIRST_R, FIRST_L, MORE = 0.1, 0.5, 0.05  # weights of the first round, and the increment of each further one
 LEAK = 0.2
 
 
 def leaky(x: Tensor) -> Tensor:
-    """The activation of all networks but that of R."""
+    """The activation of all networks except R's."""
     return F.leaky_relu(x, LEAK)
 
 
@@ -68,7 +68,7 @@ class Squeeze(nn.Module):
 
 
 class Reflectance(nn.Module):
-    """P and Q -> R: P and what eight convolutions add."""
+    """P and Q -> R: P plus the output of eight convolutions."""
 
     def __init__(self) -> None:
         super().__init__()

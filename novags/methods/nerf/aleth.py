@@ -10,15 +10,15 @@
 Cui et al. 2024, "Aleth-NeRF: illumination adaptive NeRF with concealing field assumption", and its published code's
 constants for low light, the same for all scenes (ETA 0.45, CONTRAST 12). No statistic of a well-lit picture is used.
 
-What differs from it: the field is that of docs/fields.md, which starts dense at the first points, and by its first O as
-dark as the pictures; steps and rays per step are those of all fields here, instead of 50,000 of 4,096 rays; pixels come
-in squares of four, because structure compares neighbours, each pair once, where the original compares means of four
-rays in a row of its batch with those before and after, each pair twice: those rays are drawn at random from one
-picture, so that its pairs may lie far apart; grey world is the sum of squared differences between the channels' means,
-there the root of the sum of their fourth powers; grey is luminance in structure, there the mean of the channels; O
-comes from an output of the field's one network, where the original has a network of its own; its filter runs along a
-ray, where that of the code runs over the rays of its batch at equal samples, and has an offset; a g below 0 lets
-nothing through; one set of samples a ray, where the original sums the losses of a coarse and a fine one.
+Differences from the original: The field of docs/fields.md starts dense at the first points, and by its first O as dark
+as the pictures. Steps and rays per step are the same for all fields here, instead of 50,000 of 4,096 rays. Pixels come
+in squares of four, because structure compares neighbours, each pair once; the original compares means of four rays in a
+row of its batch with the means before and after, each pair twice. Its rays are drawn at random from one picture, so
+that its pairs may lie far apart. Grey world is the sum of squared differences between the channels' means, there the
+root of the sum of their fourth powers. Grey is luminance in structure, there the mean of the channels. O comes from an
+output of the field's one network, where the original has a network of its own. Its filter runs along a ray; the
+published filter runs over the rays of a batch at equal samples, and has an offset. A g below 0 lets nothing through.
+There is one set of samples a ray, where the original sums the losses of a coarse and a fine one.
 """
 
 import dataclasses

@@ -1,4 +1,4 @@
-"""What methods with a field choose alike."""
+"""Settings that methods with a field share."""
 
 from dataclasses import dataclass, field
 

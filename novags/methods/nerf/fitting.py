@@ -76,7 +76,7 @@ def fit_enhanced_field(
     """Fit a field to the pictures that `enhance` returns for the problem, by the `robust` loss.
 
     Args:
-        problem: The problem; its seed overrides that of `config.fit`.
+        problem: The problem; its seed overrides `config.fit`.
         config: All choices.
         enhance: (problem, configuration, pictures) -> [C, H, W, 3].
         progress: As in `fit_field`.

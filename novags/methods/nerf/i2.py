@@ -8,22 +8,23 @@
            + 1e-3 overlap: mean over rays of sum_i w_i (1 - exp(-s_i d_i)): the medium is where the surface is not
            + 0.1 variation of s along a ray
 
-The mapping of y brings its mean to `mean` and its contrast to `contrast` times what it was. Liu et al. 2025, "I2-NeRF:
-learning neural radiance fields under physically-grounded media interactions", and the published code's weights.
+The mapping of y brings its mean to `mean` and its contrast to `contrast` times its value before. Liu et al. 2025,
+"I2-NeRF: learning neural radiance fields under physically-grounded media interactions", and the published code's
+weights.
 
 The original takes `mean` and `contrast` for each scene from a REFERENCE IMAGE of it in good light (0.364 to 0.544, and
 3.57 to 10): a statistic of the truth. Here they are one number for all scenes, from the middle of those ranges;
 `truth_statistics` takes the mean, not the contrast, from well-lit pictures of the training views, is off by default,
 and such runs are marked as seeing truth.
 
-What differs from it besides: t counts the sample's own interval, there only those before it; the variation is the mean
-over a ray's samples, there their sum, some 95 times as much; the overlap is there the mean of s max(density - 0.2, 0),
-with the density held fixed; the bright channel is there that of the dark picture, an estimate of t at the surface,
-which is drawn to it; S3IM has the windows of our SSIM, there 4 x 4 pixels side by side. The field is that of
-docs/fields.md, which starts dense at the first points, in a medium that already makes pictures as dark as they are; the
-loss of depth (weight 0.1) is left out, because it needs a network for monocular depth, which is not here; the square
-of S3IM is made of rays at random, as there, of 64 x 64 pixels or fewer, and is one, there ten; the mapped y is cut to
-0..1, there it is not, and its mean before is the luminance of all pictures, there the mean of a batch's channels.
+Further differences from the original: t counts the sample's own interval, there only earlier intervals. The variation
+is the mean over a ray's samples, there their sum, some 95 times as much. The overlap is there the mean of s max(density
+- 0.2, 0), with the density held fixed. The bright channel is there the dark picture's, an estimate of t at the surface,
+which is drawn to it. S3IM has the windows of our SSIM, there 4 x 4 pixels side by side. The field of docs/fields.md
+starts dense at the first points, in a medium that already makes renders as dark as the pictures. The loss of depth
+(weight 0.1) is left out, because it needs a network for monocular depth, which is not here. The square of S3IM is made
+of rays at random, as there, of 64 x 64 pixels or fewer, and is one, there ten. The mapped y is cut to 0..1, there it is
+not, and its mean before is the luminance of all pictures, there the mean of a batch's channels.
 """
 
 import dataclasses

@@ -13,13 +13,13 @@ The terms of the enhancement are added once the colours are learnt, and take R a
 "Lighting up NeRF via unsupervised decomposition and enhancement", and the forms and constants of its published code. It
 uses no statistic of a well-lit picture.
 
-What differs from it: the field is that of docs/fields.md, which starts dense at the first points and as dark as the
-pictures, with its steps and rays; the enhancement comes in for the last quarter of the steps, not for the last 5,000 of
-105,000, which is a twentieth: of as few steps as ours, at rates that have fallen, that would be too short to move a and
-g; pixels come in squares of four. Exponents, sigmoids and weights are as published. The mean of g^2 is over rays here,
+Differences from the original: The field of docs/fields.md starts dense at the first points and as dark as the pictures,
+with its steps and rays. The enhancement comes in for the last quarter of the steps, not for the last 5,000 of 105,000,
+which is a twentieth: of as few steps as ours, at rates that have fallen, that would be too short to move a and g.
+Pixels come in squares of four. Exponents, sigmoids and weights are as published. The mean of g^2 is over rays here,
 over samples there. a and g are outputs of the field's one network and of the place alone; there a network of its own
-makes them of features of L, which know the direction and are held fixed: here the terms of the enhancement move R and
-L after all, through the features that they share with a and g.
+makes them of features of L, which know the direction and are held fixed: here the terms of the enhancement move R and L
+after all, through the features that they share with a and g.
 """
 
 import dataclasses
@@ -43,7 +43,7 @@ from novags.methods.reconstruction import Progress, Reconstruction
 EPSILON = 1e-3  # of RawNeRF's loss, for pictures in 0..1
 SMOOTH, LEAST_STEP, LEAST_SPREAD = 1.5, 1e-4, 0.5  # of the smoothness and of the grey term, as published
 DARKEST = 1e-4  # of an illumination whose logarithm is taken, as published
-LEAST_ROOT = 1e-12  # of the grey term before its root: that of a grey ray would have an infinite slope
+LEAST_ROOT = 1e-12  # of the grey term before its root: on a grey ray the root would have an infinite slope
 FIRST = 1e-3  # nearest to 0 and 1/2 that the mean of pictures counts for the first illumination: its logit diverges
 
 
@@ -69,7 +69,7 @@ def first_illumination(images: Tensor) -> float:
 
 
 def decomposed(batch: Batch, first: float) -> Decomposed:
-    """What the rays of a batch show; first: from `first_illumination`."""
+    """The colours of the rays of a batch; first: from `first_illumination`."""
     reflectance, illumination, level, gamma = split(batch.raw, first)
     values = (
         reflectance * illumination, reflectance.detach() * brightened(illumination.detach(), level, gamma), reflectance,

@@ -5,14 +5,14 @@ from torch import Tensor
 
 GREY = (0.299, 0.587, 0.114)
 ROUNDED = 1e-3  # error below which the robust loss is rounded: at 0 the slope of |e| jumps, and Adam would swing
-USUAL = 0.025  # error at which its slope is that of e^2: weights of other losses then count as beside a squared error
+USUAL = 0.025  # error at which its slope and the slope of e^2 agree: other losses then weigh as beside a squared error
 
 
 def robust(errors: Tensor) -> Tensor:
     """Mean of 2 USUAL sqrt(e^2 + ROUNDED^2), which is |e| but for its tip; Charbonnier et al. 1994.
 
-    Glass, mirrors and what only one view sees leave large errors, which no field of a static scene can remove; squared,
-    they distort everything around them.
+    Glass, mirrors and things that only one view sees leave large errors, which no field of a static scene can remove;
+    squared, they distort everything around them.
     """
     return 2 * USUAL * (errors.square() + ROUNDED**2).sqrt().mean()
 

@@ -1,7 +1,7 @@
 """Enhance every view, then fit a radiance field to the result, noise and all: `naive` with the other engine.
 
-Mildenhall et al. 2020 (NeRF) with the encoding of Mueller et al. 2022 (Instant-NGP); what differs from them is said in
-docs/fields.md.
+Mildenhall et al. 2020 (NeRF) with the encoding of Mueller et al. 2022 (Instant-NGP); docs/fields.md lists the
+differences.
 """
 
 from pathlib import Path

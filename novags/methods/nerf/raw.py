@@ -3,11 +3,11 @@
     loss = mean of  ((min(render, white) - datum) / (sg(render) + EPSILON))^2
 
 of Mildenhall et al. 2022, section 4.1; sg holds its argument fixed. Colours are exponentials of the field's outputs.
-Data are never clipped at black. Behind a colour filter array only what was measured is compared.
+Data are never clipped at black. Behind a colour filter array only measured channels are compared.
 
-What differs from it: the field is that of docs/fields.md, which starts dense at the first points, with its steps and
-rays per step, and its colours begin at the mean of the data. All views have one exposure, so exposures need no
-correction. EPSILON is in units of white as there, though pictures here may be darker than its own.
+Differences from the original: The field of docs/fields.md starts dense at the first points, with its steps and rays per
+step, and its colours begin at the mean of the data. All views have one exposure, so exposures need no correction.
+EPSILON is in units of white as there, though pictures here may be darker than its own.
 """
 
 import dataclasses
@@ -63,7 +63,7 @@ def train(
 
 
 def first_unit(data: MeasuredLight) -> float:
-    """Light of an output of 0, which is what the field says at first: the mean of the data.
+    """Light of an output of 0, the field's first output: the mean of the data.
 
     Where it begins brighter than the pictures, it becomes darker by becoming thinner, and loses the first surfaces.
     """
@@ -71,7 +71,7 @@ def first_unit(data: MeasuredLight) -> float:
 
 
 def numbers_of(data: MeasuredLight, unit: float) -> dict[str, float]:
-    """What the shading `light` needs to show this light in linear sRGB."""
+    """The numbers that the shading `light` needs to show this light in linear sRGB."""
     if data.matrix is None:
         return {"unit": unit}
     return {"unit": unit, **{f"m{i}{j}": float(data.matrix[i, j]) for i in range(3) for j in range(3)}}

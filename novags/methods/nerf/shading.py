@@ -1,4 +1,4 @@
-"""What the outputs of a field look like: one function per kind, by the name that is kept with a saved field.
+"""Colours from the outputs of a field: one function per kind, by the name that is kept with a saved field.
 
 The last columns of `raw` are the outputs that depend on the view.
 """
@@ -20,7 +20,7 @@ def display(raw: Tensor, weights: Tensor, numbers: Numbers) -> Tensor:
 
 
 def at(raw: Tensor, shading: Callable[[Tensor, Tensor], Tensor]) -> Tensor:
-    """What opaque surfaces with these outputs [n, K] look like: [n, 3]; shading: of (raw, weights)."""
+    """Colours of opaque surfaces with these outputs [n, K]: [n, 3]; shading: of (raw, weights)."""
     return shading(raw[:, None], raw.new_ones(len(raw), 1))
 
 
@@ -47,7 +47,7 @@ def retinex(raw: Tensor, weights: Tensor, numbers: Numbers) -> Tensor:
 
 
 def product(raw: Tensor, weights: Tensor, numbers: Numbers) -> Tensor:
-    """Reflectance times illumination as they are: the dark picture again."""
+    """Reflectance times illumination, both unchanged: the dark picture again."""
     reflectance, illumination, _, _ = split(raw, numbers.get("illumination", 0.0))
     return (weights[..., None] * reflectance * illumination).sum(1)
 
@@ -56,7 +56,7 @@ def split(raw: Tensor, first: float) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Reflectance R [..., 3], illumination L [..., 1], and the numbers a [..., 1] and g [..., 3] of its enhancement.
 
     Of the columns density, R, a, g (which do not depend on the view) and L, all but the density through sigmoids; L is
-    that of `first` where its column is 0.
+    the sigmoid of `first` where its column is 0.
     """
     values, illumination = torch.sigmoid(raw[..., 1:8]), torch.sigmoid(raw[..., 8:9] + first)
     return values[..., :3], illumination, values[..., 3:4], values[..., 4:7]

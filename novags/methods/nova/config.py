@@ -1,4 +1,4 @@
-"""What is chosen of NOVA-GS as a whole; the defaults are the paper's."""
+"""Settings of NOVA-GS as a whole; the defaults are the paper's."""
 
 from dataclasses import dataclass, field
 from typing import Literal
@@ -20,15 +20,15 @@ class ConsistencyConfig:
     every: int = 1  # iterations between two evaluations, each weighted `every` times; one costs a second rendering
     occlusion_tolerance: float = 0.1  # relative depth difference
     min_alpha: float = 0.5  # pixels the Gaussians cover less have no depth
-    # Which views may be the source of a target view: those with the nearest centres, those whose optical axes differ
-    # least, or all within the limits below. The paper does not say.
+    # Which views may be the source of a target view: the views with the nearest centres, the views whose optical axes
+    # differ least, or all within the limits below. The paper does not say.
     pairs: Literal["nearest", "angle", "random"] = "nearest"
     neighbours: int = 8  # candidates per view, at most; "random" has no such limit
     max_angle: float = 30.0  # degrees between optical axes
     min_distance: float = 0.002  # between camera centres, in scene extents: closer ones carry no parallax
     max_distance: float = 1.5  # same unit
-    # What is warped from the source and compared with its counterpart in the target: pseudo-clean pictures, noisy
-    # enhanced ones, or renderings. The source's rendering is a constant, like its depth; the target's is not.
+    # The pictures warped from the source and compared with their counterparts in the target: pseudo-clean pictures,
+    # noisy enhanced ones, or renderings. The source's rendering is a constant, like its depth; the target's is not.
     warped: Literal["clean", "enhanced", "render"] = "clean"
     confidence: bool = True  # False: C = 1, and so no L_conf
     learning_rate: float = 1e-3  # Adam, confidence network
@@ -81,6 +81,6 @@ class NovaConfig:
 
 
 def parts(config: NovaConfig) -> dict[str, int]:
-    """`Method.parts`: warm-up of the denoiser, then the fit with what is left of its training."""
+    """`Method.parts`: warm-up of the denoiser, then the fit with the rest of its training."""
     warmup = 0 if config.denoiser is None else config.denoiser.warmup_steps
     return {"denoiser": warmup, "fit": config.fit.iterations}

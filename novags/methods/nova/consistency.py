@@ -64,7 +64,7 @@ def _rays(height: int, width: int, K: Tensor) -> Tensor:
 
 
 def _move(points: Tensor, origin: Pinhole, goal: Pinhole) -> Tensor:
-    """Points [..., 3] from the camera frame of `origin` to that of `goal`."""
+    """Points [..., 3] from the camera frame of `origin` to the frame of `goal`."""
     change = goal.viewmat @ torch.linalg.inv(origin.viewmat)
     return points @ change[:3, :3].T + change[:3, 3]
 

@@ -1,8 +1,8 @@
 """The self-supervised denoiser: blind-spot training on a scene's own enhanced views (paper, section 4.3).
 
 Views come as [C, H, W, 3]; inside, batches are [B, D, H, W], D = 3, or 4 of packed mosaics. One `Denoiser` is one
-network with its optimiser and its own random stream, so that a resumed run draws what the uninterrupted one would have
-drawn.
+network with its optimiser and its own random stream, so that a resumed run draws the same numbers as an uninterrupted
+one.
 """
 
 import math
@@ -89,10 +89,10 @@ class Denoiser:
         return n2v_loss(self.predict(blinded).reshape(planes.shape), planes, mask)
 
     def train_step(self) -> float:
-        """One optimiser step on L_N2V, plus whatever gradients the network already holds. Returns the loss.
+        """One optimiser step on L_N2V, plus the gradients that the network already holds. Returns the loss.
 
         Raises:
-            NotFinite: If the loss or a gradient is not finite; everything is then as it was before the step.
+            NotFinite: If the loss or a gradient is not finite; the step has then changed nothing.
         """
         stream, held = self.generator.get_state(), self._gradients()
         held = {name: gradient.clone() for name, gradient in held.items()}  # none unless L_recon reaches the denoiser

@@ -1,4 +1,4 @@
-"""What is chosen of the self-supervised denoiser: its network, its blind spots and their schedule."""
+"""Settings of the self-supervised denoiser: its network, its blind spots and their schedule."""
 
 from dataclasses import dataclass, field
 from typing import Literal
@@ -99,11 +99,11 @@ class DenoiserConfig:
         return self.warmup_steps + concurrent
 
 
-# What a CPU can afford. No instance normalisation, because it erases brightness; no targeted blind spots, because they
-# favour pixels for their own noise. Starting from a blur saves the steps of learning one. Where the channels of a pixel
-# have independent noise, blinding one at a time leaves the others to inform it. A blind spot knows less about a pixel
-# than the pixel itself does, so part of the noisy picture is mixed in. Many steps on small crops learn more in the same
-# time than few steps on whole views.
+# Settings that a CPU can afford. No instance normalisation, because it erases brightness; no targeted blind spots,
+# because they favour pixels for their own noise. Starting from a blur saves the steps of learning one. Where the
+# channels of a pixel have independent noise, blinding one at a time leaves the others to inform it. A blind spot knows
+# less about a pixel than the pixel itself does, so part of the noisy picture is mixed in. Many steps on small crops
+# learn more in the same time than few steps on whole views.
 FAST_DENOISER = DenoiserConfig(
     network=ResUNetConfig(widths=(16, 32, 64), bottleneck=96, normalization="none"),
     blind_spots=BlindSpotConfig(mask_fraction=0.2, laplacian_share=0.0, per_channel=None),

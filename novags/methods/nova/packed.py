@@ -1,9 +1,9 @@
 """Mosaics of demosaiced pictures, packed: the four samples of a 2 x 2 cell as channels of a picture of half the size.
 
-Demosaicing keeps what a pixel measured and fills in the rest from neighbours, so that the noise of the filled-in values
-is no longer their own, and a blind-spot network could copy it. At the places of the colour filter array the pictures
-still hold the sensor's samples, each with noise of its own. Channels are in the order of the pattern: "RGGB" is red,
-green of the red rows, green of the blue rows, blue.
+Demosaicing keeps the measurement of a pixel and fills in the rest from neighbours, so that the noise of the filled-in
+values is no longer their own, and a blind-spot network could copy it. At the places of the colour filter array the
+pictures still hold the sensor's samples, each with noise of its own. Channels are in the order of the pattern: "RGGB"
+is red, green of the red rows, green of the blue rows, blue.
 """
 
 from itertools import product

@@ -20,7 +20,7 @@ class InstanceNorm(nn.InstanceNorm2d):
     def forward(self, x: Tensor) -> Tensor:
         """x: [B, D, H, W], normalised per image and channel."""
         low, high = x.detach().amin((2, 3), keepdim=True), x.detach().amax((2, 3), keepdim=True)
-        # 1e-6: some float32 roundings of a sum of order one, which is what a convolution gives
+        # 1e-6: some float32 roundings of a sum of order one, such as a convolution's
         constant = high - low <= 1e-6 * (1 + torch.maximum(high, -low))
         return torch.where(constant, 0.0, super().forward(x))
 

@@ -83,8 +83,8 @@ def run_identity(problem: Problem, config: NovaConfig) -> Tensor:
 class _Training:
     """Denoiser, confidence network and their schedule beside the splat iterations.
 
-    What they need to continue is saved together with the fit's checkpoint, in one file: with two files, an interruption
-    between the writes would pair networks and splats of different iterations.
+    Their state is saved together with the fit's checkpoint, in one file: with two files, an interruption between the
+    writes would pair networks and splats of different iterations.
     """
 
     def __init__(self, problem: Problem, enhanced: Tensor, config: NovaConfig, checkpoint: Path | None) -> None:
@@ -163,10 +163,10 @@ class _Training:
             self.save()
 
     def save_stopped(self, stop: NotFinite) -> None:
-        """Save the networks as they were before the step that stopped, if the splats are saved in that state too."""
+        """Save the state of the networks before the step that stopped, if the splats are saved in that state too."""
         if not stop.resumable:
             return
-        if not self.stepping:  # what this iteration's backward pass has left would count twice when it is done again
+        if not self.stepping:  # gradients of this iteration's backward pass would count twice when it is done again
             for part in (self.geo, self.denoiser):
                 if part is not None:
                     part.optimizer.zero_grad(set_to_none=True)
@@ -280,7 +280,7 @@ def train(
     """Reconstruct a scene from noisy dark views.
 
     Args:
-        problem: The problem; its seed and extent override those of `config.fit`.
+        problem: The problem; its seed and extent override `config.fit`.
         config: All choices.
         progress: Called with (steps done, of how many, losses); denoiser warm-up and splat iterations count alike.
         checkpoint: The fit's checkpoint file. Everything that a run continues from is stored beside it, in

@@ -16,7 +16,7 @@ FAST = Variant(
     settings={name: value for name, value in _FAST.items() if value != _PUBLISHED[name]},
 )
 
-# The best that was measured of what the paper leaves open: docs/choices.md.
+# The best measured settings of the paper's open points: docs/choices.md.
 TUNED = Variant(
     name="nova-tuned",
     method="nova",

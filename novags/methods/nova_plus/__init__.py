@@ -1,1 +1,1 @@
-"""`nova-plus`: what the same dark captures give when every step follows the known noise."""
+"""`nova-plus`: a method in which every step follows the known noise."""

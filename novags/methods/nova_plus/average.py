@@ -33,12 +33,12 @@ class Sums:
 
     def mean(self, fallback: Tensor) -> Tensor:
         """The average; the fallback where hardly anything is like the pixel."""
-        # with less than a hundredth of a neighbour, the average would be that of one very different pixel
+        # with less than a hundredth of a neighbour, the average would be one very different pixel
         return torch.where(self.weights > 0.01, self.data / self.weights.clamp_min(0.01), fallback)
 
     @property
     def variance(self) -> Tensor:
-        """Variance of the average if that of the data is 1."""
+        """Variance of the average if the data have variance 1."""
         return self.squares / self.weights.clamp_min(0.01).square()
 
 

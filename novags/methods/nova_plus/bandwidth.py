@@ -26,7 +26,7 @@ STEP = math.sqrt(2)
 SMALLEST, LARGEST = 0.007, 0.32  # in tone
 JUDGES = 4  # views that are examined
 # Of the RMS noise, in tone. The best h of demosaiced pictures of three scenes at 5 to 80 electrons, found by the truth,
-# is 0.10 to 0.25 of it; what independent data choose by themselves 0.17 to 0.25.
+# is 0.10 to 0.25 of it; independent data choose 0.17 to 0.25 by themselves.
 SHARE_OF_NOISE = 1 / 6
 
 
@@ -41,7 +41,7 @@ def choose_bandwidth(guide: Tensor, data: Exposures, curve: ToneCurve) -> tuple[
         curve: From tones to light.
 
     Returns:
-        h, and what was found at each step: "h", "bias2" and "variance", in squared tone; nothing for shared noise.
+        h, and the findings of each step: "h", "bias2" and "variance", in squared tone; nothing for shared noise.
     """
     if data.shared:
         noise = data.noise(curve.light(guide)) / curve.slope(guide).square()

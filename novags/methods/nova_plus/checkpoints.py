@@ -1,4 +1,4 @@
-"""Whose the checkpoints of a run of several fits are: those of single fits say nothing of targets and losses."""
+"""Whose the checkpoints of a run of several fits are: checkpoints of single fits say nothing of targets and losses."""
 
 import dataclasses
 import hashlib
@@ -33,7 +33,7 @@ def claim(folder: Path, identity: str) -> None:
     """Begin a run with its checkpoints in a folder, or go on with one.
 
     Raises:
-        ValueError: If the folder holds those of another run.
+        ValueError: If the folder holds another run's checkpoints.
     """
     owner = folder / OWNER
     theirs = any(folder.glob("*.safetensors")) and not (owner.is_file() and read_bytes(owner) == identity.encode())

@@ -1,4 +1,4 @@
-"""What is chosen of the method as a whole, and how many iterations each of its fits takes."""
+"""Settings of the method as a whole, and how many iterations each of its fits takes."""
 
 from dataclasses import dataclass, field
 from typing import Literal
@@ -8,7 +8,7 @@ from novags.methods.enhancers.choice import EnhanceConfig, Enhancement
 from novags.methods.inputs import Pictures
 from novags.splats.training.config import FitConfig, LearningRates, McmcConfig
 
-# Several times those of 3DGS, for short fits, and cooled at the end.
+# Several times the rates of 3DGS, for short fits, and cooled at the end.
 FAST = LearningRates(means=4e-4, means_final=4e-6, quats=4e-3, log_scales=2e-2, sh_dc=2e-2, sh_rest=1e-3, cool_to=0.1)
 
 
@@ -27,7 +27,7 @@ PARTS = {"likelihood": 10, "structure": 10, "merged": 2}  # each fit, in 24ths o
 
 @dataclass(frozen=True, kw_only=True)
 class NovaPlusConfig:
-    """All choices. What is None follows a rule from the data.
+    """All choices. Settings that are None follow a rule from the data.
 
     Attributes:
         fit: Of both stages, each from the first points. They take 10 24ths of `fit.iterations` each (`PARTS`), for each

@@ -1,4 +1,4 @@
-"""The measurements of a problem, split into those that fits may see and those held out to judge them."""
+"""The measurements of a problem, split into a part that fits may see and a part held out to judge them."""
 
 from dataclasses import dataclass
 
@@ -17,8 +17,8 @@ class Exposures(MeasuredLight):
     """The training pictures as measurements of light.
 
     Attributes:
-        held: Pixels that no fit sees, bool [C, H, W]; they judge the fits. None where data share their noise: that of
-            a pixel would be in its neighbours, which fits see.
+        held: Pixels that no fit sees, bool [C, H, W]; they judge the fits. None where data share their noise: a pixel's
+            noise would be in its neighbours, which fits see.
     """
 
     held: Tensor

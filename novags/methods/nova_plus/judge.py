@@ -16,7 +16,7 @@ from novags.methods.tone import ToneCurve
 
 @dataclass(frozen=True)
 class Verdict:
-    """How much larger the weighted squared error of one reconstruction is than that of another, in squared tone.
+    """How much one reconstruction's weighted squared error exceeds another's, in squared tone.
 
     Attributes:
         excess: Mean over the held-out data.
@@ -33,11 +33,11 @@ class Verdict:
 
 
 def compare(tones: Tensor, other: Tensor, data: Exposures, curve: ToneCurve, weights: Tensor) -> Verdict:
-    """What held-out data say of two reconstructions of the training views.
+    """The verdict of held-out data on two reconstructions of the training views.
 
     For a datum y that no fit has seen, (y - mu)**2 is v + (mu - truth)**2 on average. The difference between two
-    reconstructions a and b is therefore that of their squared errors, and most of the noise cancels:
-    (y - a)**2 - (y - b)**2 = (b - a) (2 y - a - b).
+    reconstructions a and b is therefore the difference of their squared errors, and most of the noise cancels: (y -
+    a)**2 - (y - b)**2 = (b - a) (2 y - a - b).
 
     Args:
         tones: Rendered views of the first [C, H, W, 3].

@@ -1,4 +1,4 @@
-"""What the training views should show in stage 2: estimates of their light from different evidence."""
+"""Targets of the training views in stage 2: estimates of their light from different evidence."""
 
 from dataclasses import replace
 
@@ -15,7 +15,7 @@ from novags.methods.tone import ToneCurve
 
 
 def guided_light(guide: Tensor, data: Exposures, curve: ToneCurve, h: float, share: float) -> Tensor:
-    """Raw data averaged along the guide, mixed with the guide itself: what is known of this scene.
+    """Raw data averaged along the guide, mixed with the guide itself: the knowledge from this scene.
 
     Args:
         guide: Tones [C, H, W, 3].
@@ -37,8 +37,8 @@ def denoised_light(
     """The measurements through the trained denoiser, which knows other pictures and sees each view by itself.
 
     Args:
-        data: The measurements. What is held out is not seen.
-        expected: Light [C, H, W, 3] that takes the place of what is held out.
+        data: The measurements. Held-out data are not seen.
+        expected: Light [C, H, W, 3] that takes the place of held-out data.
         config: How to denoise.
         seed: Of the adaptation.
         progress: As for `denoised`.

@@ -44,7 +44,7 @@ def train(
     """Reconstruct the light of a scene from noisy dark views.
 
     Args:
-        problem: The problem; its seed and extent override those of `config.fit`.
+        problem: The problem; its seed and extent override `config.fit`.
         config: All choices.
         progress: Called with (iterations done, of how many, losses) of all fits together.
         checkpoint: Each fit has one of its own in the folder `checkpoints` beside it, named after stage and seed; a run
@@ -89,7 +89,7 @@ def train(
 
 
 class _Work:
-    """One run: what its stages share, and what it has found."""
+    """One run: the data its stages share, and its findings."""
 
     def __init__(
         self, problem: Problem, config: NovaPlusConfig, data: Exposures, curve: ToneCurve, progress: Progress | None,
@@ -104,7 +104,7 @@ class _Work:
         cap = config.fit.cap_max
         self.count = wanted if cap is None else min(wanted, max(1, cap // config.seeds))
         self.done, self.total = 0, sum(parts(config).values())
-        self.seconds = self.earlier = 0.0  # of all fits, and of those that stopped runs before this one did
+        self.seconds = self.earlier = 0.0  # of all fits, and of the fits in stopped runs before this one
         self.losses: list[dict[str, float]] = []
         self.found: dict[str, Any] = {
             "tone": {"top": curve.top, "k": curve.k}, "gaussians": self.count, "held_out_pixels": int(data.held.sum()),
@@ -211,7 +211,7 @@ class _Work:
         )
 
     def _config(self, part: str, seed: int, **changes: Any) -> FitConfig:
-        # the seeds within one run must not coincide with those of runs with the next seeds
+        # the seeds within one run must not coincide with seeds in runs with the next seeds
         seed = self.base.seed + 1000 * seed
         # one fit corrects the cameras, for all others: guides, merged seeds and renders need one frame
         common = {"iterations": self.config.iterations(part), "cap_max": self.count, "seed": seed,

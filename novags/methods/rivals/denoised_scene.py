@@ -1,4 +1,4 @@
-"""Gaussians whose renders lose their noise: each has a noise of its own, and networks refine what is rendered of it.
+"""Gaussians whose renders lose their noise: each has a noise of its own, and networks refine the rendered noise.
 
     N_0 = rendered noise,    N_k+1 = N_k + F_k(N_k),    shown = clamp(rendered colours - N_3, 0, 1)
 
@@ -38,7 +38,7 @@ class Stage(nn.Module):
         nn.init.zeros_(self.outer.weight)
 
     def forward(self, noise: Tensor) -> Tensor:
-        """What is added to the noise."""
+        """The summand for the noise."""
         seen = torch.relu(self.inner(noise))
         out: Tensor = self.outer(seen + torch.relu(self.middle(seen)))
         return out
@@ -61,7 +61,7 @@ class Denoiser(nn.Module):
 
 @dataclass(frozen=True)
 class DenoisedScene:
-    """Gaussians, the noise of each, and what refines it.
+    """Gaussians, the noise of each, and the networks that refine it.
 
     Attributes:
         base: The Gaussians with their colours.
@@ -88,7 +88,7 @@ class DenoisedScene:
         write_tensors(folder / FILE, {NOISE: self.noise, **self.denoiser.state_dict()})
 
     def facts(self) -> dict[str, Any]:
-        """Those of the Gaussians, and the size of the networks."""
+        """Facts about the Gaussians, and the size of the networks."""
         return {**self.base.facts(), "denoiser": {"parameters": sum(p.numel() for p in self.denoiser.parameters())}}
 
 

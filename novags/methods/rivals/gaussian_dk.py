@@ -5,11 +5,11 @@
 g is a small network, the same for all colours and views; the last term fixes the unit of radiance. A larger exposure
 gives the lit picture.
 
-What differs from the publication, and what it leaves open: its photographs had exposures of their own, here all
-views of a capture have one, so that g is only seen where the dark pictures are, and guessed beyond; g is a logistic
-curve plus a network that says nothing at first; the lit exposure is the one that brings the mean of the training
-views to `target`, where the publication chooses by hand. Its scaling of gradients near the camera belongs to
-densification by gradients, which 3DGS-MCMC does without, as for all methods here.
+Differences from the publication, and open points in it: Its photographs had exposures of their own, here all views of a
+capture have one, so that g is only seen where the dark pictures are, and guessed beyond. g is a logistic curve plus a
+network that says nothing at first. The lit exposure brings the mean of the training views to `target`, where the
+publication chooses by hand. Its scaling of gradients near the camera belongs to densification by gradients, which
+3DGS-MCMC does without, as for all methods here.
 """
 
 import dataclasses
@@ -33,10 +33,10 @@ from novags.splats.training.fit import fit
 from novags.splats.training.losses import photometric_loss
 from novags.splats.training.step import Step
 
-ANCHOR = 0.5  # weight of what fixes the unit of radiance
+ANCHOR = 0.5  # weight of the term that fixes the unit of radiance
 HIDDEN = 32
 FAINT = 1e-4  # added to radiance: the logarithm of black has no slope that a fit could follow
-BRIGHTEST = 1 - 1e-3  # of a code, for the first radiance: that of white would be infinite
+BRIGHTEST = 1 - 1e-3  # of a code, for the first radiance: the radiance of white would be infinite
 EXPOSURES = (1e-2, 1e5)  # between which the lit one is looked for
 LEVELS = 1 << 16  # of the logarithm of radiance, by which the mean of pictures is found
 ENTRIES = 512  # of the response as a table, over all logarithms that float32 colours can have between its ends
@@ -44,7 +44,7 @@ ENDS = (math.log(FAINT), 20.0)
 
 
 class Response(nn.Module):
-    """Codes 0..1 from the logarithm of what falls on the sensor, of any shape; g(0) = 1/2 at first."""
+    """Codes 0..1 from the logarithm of the light on the sensor, of any shape; g(0) = 1/2 at first."""
 
     def __init__(self) -> None:
         super().__init__()

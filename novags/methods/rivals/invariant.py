@@ -1,9 +1,9 @@
-"""Where a picture has edges of the surfaces, whatever light falls on them.
+"""Where a picture has edges of the surfaces, under any light.
 
 Geusebroek et al. 2001 (Color Invariance, IEEE TPAMI 23, 12): the Gaussian colour model gives the spectral derivatives
-E, E_l and E_ll of the light in a pixel, linear in its red, green and blue. Under light of one spectrum, of whatever
-strength, matte paint keeps W_x = E_x / E, W_lx = E_lx / E and W_llx = E_llx / E; their Euclidean length over x and y
-is the invariant W.
+E, E_l and E_ll of the light in a pixel, linear in its red, green and blue. Under light of one spectrum, of any
+strength, matte paint keeps W_x = E_x / E, W_lx = E_lx / E and W_llx = E_llx / E; their Euclidean length over x and y is
+the invariant W.
 """
 
 import math

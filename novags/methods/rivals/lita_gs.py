@@ -12,9 +12,9 @@ structure of the Gaussians and W the illumination-invariant structure of the dar
 Published: the parts, h(S D_3), the recursion of the noise, w = 0.2, the weight of the prior, 0.49, the learning
 rates. Its released program lacks the training loop and the prior, and was not read. Chosen by us, once, for want of
 them: which invariant of Kubelka-Munk theory the prior is, and its compression to 0..1; that the lit exposure is held
-as Zero-DCE holds it; what tells illumination from colour, and noise from both (the terms a to d and their weights);
-h, which changes nothing at first. Left out: the loss of depth (weight 0.1), for it needs the weights of a depth
-network. Networks have 16 channels instead of 64, for two cores; `width` says otherwise.
+as Zero-DCE holds it; the terms that tell illumination from colour, and noise from both (a to d and their weights); h,
+which changes nothing at first. Left out: the loss of depth (weight 0.1), for it needs the weights of a depth network.
+Networks have 16 channels instead of 64, for two cores; `width` says otherwise.
 """
 
 import dataclasses
@@ -61,7 +61,7 @@ class ToneMap(nn.Module):
 
 
 class Networks(nn.Module):
-    """What learns beside the Gaussians."""
+    """The parts that learn beside the Gaussians."""
 
     def __init__(self, width: int) -> None:
         super().__init__()

@@ -7,14 +7,13 @@ Gaussian. With |N| the rendered size of the interference and G = (1 - w) L1 + w 
 
     loss = G(R S + N, dark) + a |grad S| exp(-EDGE |grad R|) + b |S - max over channels of dark| + c |N|
 
-R and S are multiplied pixel by pixel. Multiplied for each Gaussian, some of those that overlap would hold the light
-and others the paint, which no loss of a picture can tell from both together; measured, the light then stays in R.
+R and S are multiplied pixel by pixel. Multiplied for each Gaussian, some overlapping Gaussians would hold the light and
+others the paint, which no loss of a picture can tell from both together; measured, the light then stays in R.
 
-The publication has its parts from networks at the anchors of Scaffold-GS, two sets of Gaussians (what is there, and
-what interferes), a start from DUSt3R, and a diffusion model and a depth network as priors, which need weights that
-are not here. Only the decomposition is taken from it; the terms above are those that Retinex methods have in
-common, their weights were chosen by us, once, and gamma is what brings the mean of the lit training views to
-`target`.
+The publication has its parts from networks at the anchors of Scaffold-GS, two sets of Gaussians (the scene, and the
+interference), a start from DUSt3R, and a diffusion model and a depth network as priors, which need weights that are not
+here. Only the decomposition is taken from it; the terms above are common to Retinex methods, their weights were chosen
+by us, once, and gamma brings the mean of the lit training views to `target`.
 """
 
 import dataclasses
@@ -49,7 +48,7 @@ def parts_of(gaussians: Gaussians) -> tuple[Tensor, Tensor]:
 def shaded(sh: Tensor, factor: Tensor) -> Tensor:
     """Harmonics [N, K, 3] of factor [N, 1] x colour."""
     scaled = factor[..., None] * sh
-    base = 0.5 * (factor - 1) / C0  # colours are 0.5 above what the harmonics say
+    base = 0.5 * (factor - 1) / C0  # colours are 0.5 above the harmonics
     return torch.cat([scaled[:, :1] + base[..., None], scaled[:, 1:]], 1)
 
 

@@ -1,7 +1,7 @@
 """How Luminance-GS brightens a picture: one curve, bent for each view, on three learned orthogonal axes of colour.
 
-The curve has `BINS` values. A cross-attention between the pose of a view and what the view shows adds to it; a second
-one shapes a power law and an S-curve that the first is drawn to. Written from section 3 of Cui et al. 2025 and the
+The curve has `BINS` values. A cross-attention between the pose of a view and its picture adds to it; a second one
+shapes a power law and an S-curve that the first is drawn to. Written from section 3 of Cui et al. 2025 and the
 constants of their program.
 """
 
@@ -58,8 +58,8 @@ def orthogonal_axes(first: Tensor, second: Tensor) -> Tensor:
 def mapped(picture: Tensor, axes: Tensor, curve: Tensor) -> Tensor:
     """A picture [H, W, 3] after the curve on each axis.
 
-    The colours 0..1 reach from `low` to `high` along an axis: that range is what the curve maps to itself. It is looked
-    up without interpolation, so that the gradient reaches the curve and the way back from the axes.
+    The colours 0..1 reach from `low` to `high` along an axis: the curve maps that range to itself. It is looked up
+    without interpolation, so that the gradient reaches the curve and the way back from the axes.
     """
     low, high = axes.clamp_max(0).sum(1), axes.clamp_min(0).sum(1)
     place = ((picture @ axes.T - low) / (high - low)).clamp(0, 1)
@@ -118,7 +118,7 @@ class ViewCurves(nn.Module):
         return curve, power_then_s(1 + 0.1 * gamma, 0.5 + 0.002 * alpha, 1 + 0.002 * beta)
 
     def axes(self, view: int) -> Tensor:
-        """The axes of a view, rows of [3, 3]: those of red, green and blue at first."""
+        """The axes of a view, rows of [3, 3]: red, green and blue at first."""
         along = self.first.new_tensor([1.0, 0.0, 0.0])
         return orthogonal_axes(self.first[view] + along, self.second[view] + along[:2])
 

@@ -1,16 +1,15 @@
 """Luminance-GS (Cui et al. 2025): two colours for each Gaussian, dark and lit; the lit ones learn from curves.
 
-The dark picture is what the camera saw. The lit one is drawn to the dark picture after a curve that is learned with it
-(`luminance_curve.py`), and to local contrasts that are larger than the dark picture's. The curve is drawn to the one
-that equalises the histogram. With G = (1 - w) L1 + w (1 - SSIM),
+The dark picture is the camera's. The lit one is drawn to the dark picture after a curve that is learned with it
+(`luminance_curve.py`), and to local contrasts that are larger than the dark picture's. The curve is drawn to the
+equalisation of the histogram. With G = (1 - w) L1 + w (1 - SSIM),
 
     loss = G(dark render, dark) + 1/2 G(lit render, curve(dark)) + contrast + 10 histogram
 
-What differs from the publication: Gaussians are relocated as in 3DGS-MCMC instead of being split and pruned by
-gradients, and regularised as there, as for all methods here; the iterations are those of the experiment, not 10,000;
-the attention layers see pictures of at most `seen` px a side, which a CPU can afford, and poses in the units of the
-set, where its program brings all scenes to one size; and the bias of the dark colour changes only the constant
-harmonic.
+Differences from the publication: Gaussians are relocated as in 3DGS-MCMC instead of being split and pruned by
+gradients, and regularised as there, as for all methods here; the experiment sets the iterations, not 10,000; the
+attention layers see pictures of at most `seen` px a side, which a CPU can afford, and poses in the units of the set,
+where its program brings all scenes to one size; and the bias of the dark colour changes only the constant harmonic.
 """
 
 import dataclasses
@@ -38,7 +37,7 @@ DARKEST = 1 / 510  # mean of a picture, half a code of 8 bits: a black one asks 
 
 
 def contrasts(picture: Tensor) -> Tensor:
-    """What each cell of 4 x 4 px differs from its four neighbours, black beyond the border: [H, W, 3] -> [4, h, w]."""
+    """Differences of cells of 4 x 4 px from their neighbours, black beyond the border: [H, W, 3] -> [4, h, w]."""
     height, width = picture.shape[:2]
     cells = F.avg_pool2d(picture.mean(-1)[None, None], (min(4, height), min(4, width)))[0, 0]
     wide = F.pad(cells, (1, 1, 1, 1))
@@ -52,7 +51,7 @@ def contrast_loss(dark: Tensor, lit: Tensor, factor: float) -> Tensor:
 
 
 def histogram_loss(curve: Tensor, shape: Tensor, equalising: Tensor, weight: float) -> Tensor:
-    """What the curve of a view is drawn to: the equalising curve by a weight, its own shape, and smoothness."""
+    """The terms that shape the curve of a view: the equalising curve by a weight, its own shape, and smoothness."""
     smooth = curve.diff().square().mean()
     shaped = (shape - curve).square().mean() + 0.01 * (shape - equalising).square().mean()
     return weight * (curve - equalising).square().mean() + 0.1 * smooth + 0.5 * shaped

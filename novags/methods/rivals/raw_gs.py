@@ -4,14 +4,14 @@
 
 of Mildenhall et al. 2022, section 4.1; sg holds its argument fixed. Divided by the render, an error counts as the tone
 curve log(y + EPSILON) would show it. The derivative of that curve weighs the residual, instead of the curve bending the
-noise, so that noise of mean zero averages out. Data are never clipped at black. Behind a colour filter array only what
-was measured is compared.
+noise, so that noise of mean zero averages out. Data are never clipped at black. Behind a colour filter array only
+measured channels are compared.
 
-What differs from the publications: RawNeRF is a field, and LE3D makes colours with a small network from features of
-each Gaussian; here they are spherical harmonics of the light, as in 3DGS, in a unit that brings bright light to 1.
-LE3D's start from a cone of random points and its two regularisers of distances are left out; the fit is 3DGS-MCMC, as
-for all methods. A colour matrix is applied to the light of the render as it is, whereas the development of pictures
-clips at white first.
+Differences from the publications: RawNeRF is a field, and LE3D makes colours with a small network from features of each
+Gaussian; here they are spherical harmonics of the light, as in 3DGS, in a unit that brings bright light to 1. LE3D's
+start from a cone of random points and its two regularisers of distances are left out; the fit is 3DGS-MCMC, as for all
+methods. A colour matrix is applied to the unclipped light of the render, whereas the development of pictures clips at
+white first.
 """
 
 import dataclasses

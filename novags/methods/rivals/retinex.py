@@ -1,4 +1,4 @@
-"""What methods that split a picture into reflectance and illumination have in common."""
+"""The common part of methods that split a picture into reflectance and illumination."""
 
 import torch
 from torch import Tensor

@@ -1,4 +1,4 @@
-"""What the rows of other groups' methods have in common."""
+"""The common part of the rows of other groups' methods."""
 
 from collections.abc import Callable
 from typing import Any

@@ -25,14 +25,14 @@ class Method:
     """One row of `METHODS`.
 
     Attributes:
-        title: What it does, in a sentence.
+        title: Its work, in a sentence.
         family: Where it belongs in a table.
         color: Of its lines and dots, "#rrggbb".
         config: Makes its configuration as published, a frozen dataclass: the class, or a function of its own.
         train: (problem, config, *, progress, checkpoint) -> Reconstruction. The problem's seed and extent override
-            those of `config.fit`; progress is called with (steps done, of how many, losses); checkpoint is the file
-            that an interrupted run goes on from. Raises LacksInput if the problem lacks what the method needs,
-            ValueError for a checkpoint that is damaged or of another run, NotFinite as `splats.fit` does.
+            `config.fit`; progress is called with (steps done, of how many, losses); checkpoint is the file that an
+            interrupted run goes on from. Raises LacksInput if the problem lacks data that the method needs, ValueError
+            for a checkpoint that is damaged or of another run, NotFinite as `splats.fit` does.
         source: The publication or text that it follows.
         parts: The parts of `train` whose steps its progress counts through, and how many each has, for a configuration;
             None: their steps all take the same time.
@@ -40,7 +40,8 @@ class Method:
         cameras: The camera source that the publication uses; None if it does not matter.
         sees_clean: Whether it is given the noise-free exposures; a bound, never a rival.
         sees_surface: Whether it is given the true surface and cameras too; it takes no other cameras.
-        bound: Which end of the scale of "recovered" it is, "floor" or "ceiling": what noise costs lies between the two.
+        bound: Which end of the scale of "recovered" it is, "floor" or "ceiling": the cost of noise lies between the
+            two.
     """
 
     title: str
@@ -71,7 +72,7 @@ class Variant:
         name: Of its folder and its row; the method's own name if nothing is changed.
         method: Name of the method.
         settings: Dotted setting -> value.
-        title: What it does, in a sentence; "" for the method's own, with the settings.
+        title: Its work, in a sentence; "" for the method's own, with the settings.
     """
 
     name: str
@@ -89,7 +90,7 @@ class Variant:
 
         Args:
             default: The method's configuration as published.
-            shared: Settings for all methods; those that this one lacks are ignored.
+            shared: Settings for all methods; settings that this one lacks are ignored.
 
         Raises:
             ValueError: If a setting does not exist, or a value is refused.
@@ -127,7 +128,7 @@ def read_variants(path: Path) -> list[Variant]:
 
 
 def dotted(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """A table of a TOML file with dotted names for what stands in tables in it: an unquoted a.b = 1 is one."""
+    """A table of a TOML file with dotted names for the entries of tables in it: an unquoted a.b = 1 is one."""
     found: dict[str, Any] = {}
     for key, value in table.items():
         found |= dotted(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value}

@@ -20,13 +20,14 @@ _OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": set(FLAGS)}  # P
 
 
 def cache_folder() -> Path | None:
-    """A folder named after the sources of all kernels; those of other sources go when unused for KEEP_DAYS.
+    """A folder named after the sources of all kernels; folders of other sources go when unused for KEEP_DAYS.
 
     Numba notices when the file of a kernel changes, not when a file it calls into, or takes constants from, does; stale
-    machine code would then run. It runs what it finds, whoever wrote that: None if no folder can be this user's alone.
+    machine code would then run. Numba runs any code it finds, whoever wrote it: None if no folder can be this user's
+    alone.
     """
     here = Path(__file__).parent
-    fields = here.parents[1] / "fields" / "cpu"  # whose kernels inline those of here
+    fields = here.parents[1] / "fields" / "cpu"  # whose kernels inline the kernels here
     sources = [*sorted(here.rglob("*.py")), here.parent / "sh.py", *sorted(fields.glob("*.py"))]
     digest = hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()[:16]
     name = f"kernels-{digest}"
@@ -40,7 +41,7 @@ def cache_folder() -> Path | None:
 
 
 def _keep(folder: Path) -> None:
-    """Mark a folder as used, and remove those of other sources that were not for long."""
+    """Mark a folder as used, and remove folders of other sources that have long been unused."""
     with suppress(OSError):  # root's
         os.utime(folder)
     for other in folder.parent.glob(f"kernels-{'[0-9a-f]' * 16}"):

@@ -1,4 +1,4 @@
-"""Recycled arrays: what one iteration frees, the next one takes, without new pages from the operating system."""
+"""Recycled arrays: the next iteration takes the memory that one frees, without new pages from the operating system."""
 
 import ctypes
 import math
@@ -77,7 +77,7 @@ class Recycler:
         return block
 
     def _collect(self) -> None:
-        """Shelve the blocks that came back, and free those of the sizes unused for longest."""
+        """Shelve the blocks that came back, and free blocks of the sizes unused for longest."""
         while self._back:
             block = self._back.popleft()
             size = len(block)

@@ -1,8 +1,7 @@
 """Run a kernel over a range, or a chain of kernels, with threads.
 
-The caller works too, and ranges are handed out as they are asked for: a helper thread that the operating system does
-not schedule in time costs nothing, where a barrier of equal shares would wait for it. Results do not depend on who did
-what.
+The caller works too, and ranges are handed out on demand: a helper thread that the operating system does not schedule
+in time costs nothing, where a barrier of equal shares would wait for it. Results do not depend on the sharing of work.
 """
 
 import itertools

@@ -25,7 +25,7 @@ GRAIN_TILES = 2
 
 @dataclass(frozen=True, kw_only=True)
 class Camera:
-    """One pinhole camera and what it renders."""
+    """One pinhole camera and its output."""
 
     viewmat: np.ndarray  # [4, 4] float32, world to camera
     K: np.ndarray  # [3, 3] float32
@@ -107,7 +107,7 @@ class Wave:
 
 @dataclass(kw_only=True)
 class TileState:
-    """What compositing four channels leaves in every tile; see `composite`."""
+    """The state of every tile after compositing four channels; see `composite`."""
 
     trans: np.ndarray
     color: np.ndarray
@@ -117,7 +117,7 @@ class TileState:
 
 @dataclass(kw_only=True)
 class Frame:
-    """One rendered camera: what the backward pass needs."""
+    """One rendered camera: the data that the backward pass needs."""
 
     camera: Camera
     vector: np.ndarray  # of the camera
@@ -132,7 +132,7 @@ class Frame:
 
 def _rows(sh: np.ndarray) -> np.ndarray:
     """[N, K, 3] as [N, 3 K]."""
-    return sh.reshape(len(sh), 3 * sh.shape[1])  # said in full: numpy cannot tell what -1 is for no Gaussians
+    return sh.reshape(len(sh), 3 * sh.shape[1])  # said in full: numpy cannot resolve -1 for no Gaussians
 
 
 def _new_state(n_tiles: int) -> TileState:
@@ -283,7 +283,9 @@ def composite_backward(frame: Frame, v_image: np.ndarray, v_alpha: np.ndarray) -
 def backward(
     frame: Frame, shape: Shape, colors: np.ndarray, v_image: np.ndarray, v_alpha: np.ndarray, with_camera: bool
 ) -> Gradients:
-    """Gradients from those of the image [H, W, channels] and alpha [H, W]; of the camera if asked for, else zero."""
+    """Gradients from the gradients of the image [H, W, channels] and alpha [H, W]; of the camera if asked for, else
+    zero.
+    """
     camera, n, has_harmonics = frame.camera, len(shape.means), frame.degree >= 0
     v_rows, slots = composite_backward(frame, v_image, v_alpha)
     v_shape = Shape(means=empty((n, 3)), quats=empty((n, 4)), scales=empty((n, 3)), opacities=empty(n))

@@ -5,8 +5,8 @@
 
 .spz, versions 2 and 3: gzip of a header and, for all Gaussians one after the other, positions (24-bit fixed point),
 opacities, colours, scales (log, 1/16), rotations (2: x y z, 8-bit; 3: the smallest three, 10-bit) and harmonics (5 bits
-at degree 1, 4 bits above). Axes are those of the scene, as in the PLY: Niantic's converter leaves them by default, and
-viewers show what the file says. The format itself would call them right, up, back.
+at degree 1, 4 bits above). Axes are the scene's, as in the PLY: Niantic's converter leaves them by default, and viewers
+show what the file says. The format itself would call them right, up, back.
 """
 
 import gzip

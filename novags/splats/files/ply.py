@@ -41,7 +41,7 @@ def write_ply(path: str | Path, gaussians: Gaussians, *, sh_degree: int | None =
     Args:
         path: File to write; its folder is created.
         gaussians: Any size; quaternions are written normalised.
-        sh_degree: Pad the harmonics to this degree with zeros: some readers take nothing but 3. None: as they are.
+        sh_degree: Pad the harmonics to this degree with zeros: some readers take nothing but 3. None: no padding.
 
     Raises:
         ValueError: If the Gaussians have a higher degree than that, or a quaternion is zero.
@@ -49,7 +49,7 @@ def write_ply(path: str | Path, gaussians: Gaussians, *, sh_degree: int | None =
     g = gaussians.detach()
     n, k = len(g), n_coefficients(g.sh_degree if sh_degree is None else sh_degree)
     if k < g.sh.shape[1]:
-        raise ValueError(f"sh_degree must be at least {g.sh_degree}, that of the Gaussians, got {sh_degree}")
+        raise ValueError(f"sh_degree must be at least {g.sh_degree}, the Gaussians' degree, got {sh_degree}")
     sh = torch.cat([g.sh, g.sh.new_zeros(n, k - g.sh.shape[1], 3)], 1)
     rest = sh[:, 1:].mT.reshape(n, 3 * (k - 1))
     columns = [g.means, torch.zeros(n, 3), g.sh[:, 0], rest, g.logit_opacities[:, None], g.log_scales, unit_quats(g)]
@@ -104,8 +104,7 @@ def _count(word: str, path: Path) -> int:
 def read_ply(path: str | Path) -> Gaussians:
     """Read a 3DGS PLY, binary little-endian; extra properties are ignored, any order is accepted.
 
-    Infinite logits of opacity, those of 0 and 1, are what converters of 8-bit formats write. They become -`OPAQUE` and
-    `OPAQUE`.
+    Converters of 8-bit formats write infinite logits of opacity, for 0 and 1. They become -`OPAQUE` and `OPAQUE`.
 
     Raises:
         ValueError: If the file is not such a PLY, is cut short or longer than its header says, lacks a property, or
@@ -119,7 +118,7 @@ def read_ply(path: str | Path) -> Gaussians:
         if kind != "binary_little_endian":
             raise ValueError(f"{path} must be binary_little_endian, got {kind or 'no format line'}; convert it first")
         there = path.stat().st_size - file.tell()
-        if n < 0 or there < n * record.itemsize:  # before anything is allocated for what the header announces
+        if n < 0 or there < n * record.itemsize:  # before anything is allocated for the announced size
             raise ValueError(
                 f"{path} must hold {n} vertices of {record.itemsize} bytes, but only {there} bytes are there"
             )

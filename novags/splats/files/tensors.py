@@ -48,9 +48,9 @@ def read(path: Path) -> dict[str, Tensor]:
 
 
 def check_lengths(path: Path) -> None:
-    """Refuse what `torch.save` wrote if a part of it announces more than the file holds.
+    """Refuse a file of `torch.save` if a part of it announces more than the file holds.
 
-    Rationale: torch reserves what is announced before it looks, gigabytes for a file of a kilobyte.
+    Rationale: torch reserves the announced size before it looks, gigabytes for a file of a kilobyte.
 
     Raises:
         ValueError: If it does, or the table of its parts is damaged.

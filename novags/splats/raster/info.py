@@ -1,4 +1,4 @@
-"""What `rasterize` returns besides image and alpha: its third result, with the names and shapes of gsplat's."""
+"""The result of `rasterize` besides image and alpha: the third one, with the names and shapes of gsplat's."""
 
 import weakref
 from collections.abc import Callable, Iterator, Mapping
@@ -25,7 +25,7 @@ class Watch:
         self._rows: list[Any] = []
 
     def attach(self, tensor: Tensor, rows: list[Any]) -> None:
-        """`tensor` is what was handed out; rows[c] are (its rows, the Gaussians there) of camera c."""
+        """`tensor` was handed out; rows[c] are (its rows, the Gaussians there) of camera c."""
         self._tensor, self._rows = weakref.ref(tensor), rows
 
     @property

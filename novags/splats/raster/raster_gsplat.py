@@ -21,8 +21,8 @@ def render_all(
 ) -> tuple[Tensor, Tensor, dict[str, Any]]:  # fmt: skip
     """All cameras' images, alphas and gsplat's own info; arguments as in `novags.splats.rasterize`.
 
-    The gradient of `viewmats` is gsplat's: along rigid motions it is that of the other backends, entry by entry it is
-    not, because gsplat takes the camera's centre from the inverse of the matrix instead of -R^T t.
+    The gradient of `viewmats` is gsplat's: along rigid motions it equals the other backends' gradient, entry by entry
+    it does not, because gsplat takes the camera's centre from the inverse of the matrix instead of -R^T t.
 
     Raises:
         ValueError: If the tensors are not float32 on a CUDA device.

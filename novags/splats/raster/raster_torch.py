@@ -19,7 +19,7 @@ PIXELS_PER_CHUNK = 4096  # bounds memory: chunk x Gaussians numbers live at once
 
 def unit_largest(quats: Tensor) -> Tensor:
     """The quaternions [N, 4] over their largest components: squares of long or short ones would over- or underflow."""
-    # detached: what only depends on the direction has the same gradient with the factor held fixed
+    # detached: values that depend on the direction alone have the same gradient with the factor held fixed
     return quats / quats.detach().abs().amax(-1, keepdim=True)
 
 

@@ -75,7 +75,7 @@ def rasterize(
         sh_degree: Highest spherical-harmonics degree to use (0..3), or None for plain colours.
         packed: Info has one row for each visible pair of camera and Gaussian [nnz, ...], else [C, N, ...].
         tile_size: None or 16; images do not depend on it.
-        backgrounds: [D] or [C, D], dtype as the rest, shown through what alpha leaves; None is black. Not behind depth.
+        backgrounds: [D] or [C, D], dtype as the rest, shown with the weight 1 - alpha; None is black. Not behind depth.
         render_mode: "RGB", "D" (accumulated depth), "ED" (expected depth: accumulated over alpha), "RGB+D", "RGB+ED".
         sparse_grad: The gradients of means, quats and scales are sparse tensors of the visible rows; needs `packed`.
         absgrad: The backward pass leaves the sums over pixels of the absolute gradients of the projected centres in
@@ -93,14 +93,14 @@ def rasterize(
     Returns:
         renders [C, H, W, channels], alphas [C, H, W, 1], and info: "means2d" pixels, whose `retain_grad()` works,
         "radii" [..., 2] int32 pixels (0: not visible), "depths", "conics", "opacities" (with compensation), if packed
-        "camera_ids" and "gaussian_ids" (else None), and sizes. What is not a number is made when it is asked for. With
-        "numba", one camera and packed=False means2d and depths are views of the kernels' own memory (64 bytes per
-        Gaussian): copy what you keep. With "gsplat" it is gsplat's own.
+        "camera_ids" and "gaussian_ids" (else None), and sizes. Entries other than numbers are made when they are asked
+        for. With "numba", one camera and packed=False means2d and depths are views of the kernels' own memory (64 bytes
+        per Gaussian): copy what you keep. With "gsplat" it is gsplat's own.
 
     Raises:
         ValueError: For a wrong shape, dtype or device, values outside their range, non-finite input (of the colours
-            only what is rendered counts), an argument of gsplat's that is not supported, or, with "numba", finite
-            input so large that float32 overflows.
+            only the rendered ones count), an argument of gsplat's that is not supported, or, with "numba", finite input
+            so large that float32 overflows.
     """
     check_others({"distributed": distributed, **others})
     check_choices(

@@ -1,4 +1,4 @@
-"""Checks of what `rasterize` is given. Every message says which tensor, which rule, what was found and where."""
+"""Checks of the arguments of `rasterize`. Every message names the tensor, the rule, the value found and its place."""
 
 from numbers import Integral
 from typing import Any, NoReturn
@@ -103,7 +103,7 @@ def check_camera(tensors: dict[str, Tensor]) -> None:
 
 
 def used_colors(colors: Tensor, sh_degree: int | None, with_color: bool) -> Tensor:
-    """What of the colours [N, D] or [N, K, 3] is rendered. The rest may hold anything, and is not checked."""
+    """The rendered part of the colours [N, D] or [N, K, 3]. The rest may hold anything, and is not checked."""
     if not with_color:
         return colors[..., :0]
     return colors if sh_degree is None else colors[..., : n_coefficients(sh_degree), :]
@@ -128,7 +128,7 @@ def ellipsoids(covars: Tensor) -> tuple[Tensor, Tensor]:
     matrices = covars.detach().double()
     size = matrices.abs().amax((1, 2), keepdim=True)
     variances, axes = torch.linalg.eigh(matrices)
-    # 1e-5: what float32 leaves of a product; less symmetric ones are not covariances
+    # 1e-5: the rounding of a product in float32; less symmetric ones are not covariances
     wrong = ((matrices - matrices.mT).abs() > 1e-5 * size).any(-1).any(-1) | (variances < -1e-5 * size[:, 0]).any(-1)
     if wrong.any():
         first = int(torch.nonzero(wrong)[0, 0])

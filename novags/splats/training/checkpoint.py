@@ -30,7 +30,7 @@ class TrainingState:
         gaussians: Current Gaussians.
         adam: Their optimiser.
         cameras: Refinement of the training cameras; None where they stay as given.
-        companion: What is trained beside them; None: nothing.
+        companion: Parameters trained beside them; None: nothing.
         iteration: Iterations done.
         losses: Log entries.
         seconds: Wall time spent before this process took over.
@@ -50,8 +50,8 @@ def save_checkpoint(path: Path, state: TrainingState, settings: dict[str, object
 
     Args:
         path: File to write.
-        state: What to write.
-        settings: What the run was started with, JSON-able; compared on resume.
+        state: The state to write.
+        settings: The run's at its start, JSON-able; compared on resume.
     """
     tensors = {f"gaussians.{name}": t.detach() for name, t in state.gaussians.tensors().items()}
     tensors |= {f"first.{name}": t for name, t in state.adam.first.items()}
@@ -70,11 +70,11 @@ def save_checkpoint(path: Path, state: TrainingState, settings: dict[str, object
 def load_checkpoint(
     path: Path, settings: dict[str, object], device: torch.device, companion: Companion | None = None
 ) -> TrainingState:
-    """Read what `save_checkpoint` wrote.
+    """Read a file of `save_checkpoint`.
 
     Args:
         path: File to read.
-        settings: What the run is started with now.
+        settings: The run's now.
         device: Of the tensors read.
         companion: Receives the state of the companion that was trained in that run.
 

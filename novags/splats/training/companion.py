@@ -1,4 +1,4 @@
-"""What a method trains beside the Gaussians by the same loss (tone curves, networks), and networks on disk."""
+"""Parts that a method trains beside the Gaussians by the same loss (tone curves, networks), and networks on disk."""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -18,7 +18,7 @@ class Companion:
     Attributes:
         network: On the device of the Gaussians; changed in place.
         optimizer: Of all its parameters; its groups may have rates of their own.
-        cool_to: What the rates fall to at the end of the run, log-linearly, as a share of themselves.
+        cool_to: Rates at the end of the run, as a share of themselves; they fall log-linearly.
     """
 
     network: nn.Module
@@ -52,7 +52,7 @@ class Companion:
         return {f"companion {name}": parameter for name, parameter in self.network.named_parameters()}
 
     def state(self) -> dict[str, Tensor]:
-        """What the next iteration depends on."""
+        """The state that the next iteration depends on."""
         self.clear()
         return pack(PREFIX, self.network, self.optimizer)
 
@@ -77,7 +77,7 @@ def pack(prefix: str, network: nn.Module, adam: Adam) -> dict[str, Tensor]:
 
 
 def unpack(prefix: str, tensors: dict[str, Tensor], network: nn.Module, adam: Adam) -> None:
-    """Restore what `pack` saved.
+    """Restore the state that `pack` saved.
 
     Raises:
         ValueError: If the tensors belong to a network of another shape, or are damaged.
@@ -99,7 +99,7 @@ def unpack(prefix: str, tensors: dict[str, Tensor], network: nn.Module, adam: Ad
         if not whole or not (gradient is None or _alike(torch.nan_to_num(gradient), parameter)):
             raise ValueError(f"the checkpoint's {prefix} is damaged in {name}: delete it, the run then starts over")
         if moments:
-            # torch keeps Adam's step count on the CPU whatever the device of the weights.
+            # torch keeps Adam's step count on the CPU for any device of the weights.
             adam.state[parameter] = {k: v if k == "step" else v.to(parameter) for k, v in moments.items()}
         if gradient is not None:
             # A copy in the layout of the parameter, to which autograd goes on adding.

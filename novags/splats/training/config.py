@@ -32,8 +32,8 @@ class LearningRates:
         sh_dc: Constant colour.
         sh_rest: Higher spherical harmonics.
         features: `Gaussians.features`.
-        cool_from: Share of the run after which all rates but that of the means fall, log-linearly.
-        cool_to: What they fall to at its end, as a share of themselves; 1: they do not.
+        cool_from: Share of the run after which all rates fall log-linearly, except the means' rate.
+        cool_to: Rates at its end, as a share of themselves; 1: they do not fall.
     """
 
     means: float = 1.6e-4
@@ -65,7 +65,7 @@ class LearningRates:
             )
 
     def at(self, iteration: int, iterations: int) -> "LearningRates":
-        """These rates at an `iteration` of a run of `iterations`: cooled, but for those of the means."""
+        """These rates at an `iteration` of a run of `iterations`: cooled, except the means' rates."""
         begin = self.cool_from * iterations
         if self.cool_to == 1 or iteration <= begin:
             return self
@@ -156,8 +156,8 @@ class FitConfig:
         opacity_reg_fall: p in `opacity_reg` * (1 - t)**p, its weight after the share t of the run; 0 keeps it.
         scale_reg: Weight of the mean scale, in units of `unit`.
         rates: Learning rates.
-        mcmc: When Gaussians move; None keeps the population as it is.
-        refine_cameras: How the training cameras are refined; None takes them as they are given.
+        mcmc: When Gaussians move; None keeps the population unchanged.
+        refine_cameras: How the training cameras are refined; None takes them as given.
         extent: Scene size that the rates of the means and of the cameras are relative to, world units; `fit` measures
             it from the cameras where it is None.
         seed: Of the order of views, of relocation and of noise.
@@ -207,7 +207,8 @@ class FitConfig:
 
     @property
     def unit(self) -> float:
-        """World units per unit of length of the fit: 1 for a scene of usual size, else what gives it extent `UNUSUAL`.
+        """World units per unit of length of the fit: 1 for a scene of usual size, else the number that gives it extent
+        `UNUSUAL`.
 
         Otherwise, in millimetres instead of metres, regularisation would flatten all splats, and a scene a thousandth
         of a unit in size would lie in front of the near plane.
@@ -231,7 +232,7 @@ class FitConfig:
 
     @property
     def splatting(self) -> dict[str, Any]:
-        """Arguments of `rasterize` that show the Gaussians as they were trained."""
+        """Arguments of `rasterize` that show the Gaussians as in training."""
         mode = "antialiased" if self.antialiased else "classic"
         return {"eps2d": self.eps2d, "rasterize_mode": mode, "near_plane": self.near_plane}
 

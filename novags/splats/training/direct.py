@@ -2,7 +2,7 @@
 
 For the plain fit only, whose loss is one of the picture plus regularisers: the same bits as `iteration`, in two thirds
 of the time. Anything out of the ordinary (numbers that are not finite, or very large) changes nothing here and is left
-to `iteration`, which finds out what is wrong and says so.
+to `iteration`, which finds the fault and reports it.
 """
 
 from collections.abc import Callable
@@ -30,7 +30,7 @@ STEPS = 10  # iterations after which the coefficients are checked again
 
 
 class DirectFit:
-    """The cameras of a fit, checked once, and what its iterations share."""
+    """The cameras of a fit, checked once, and the memory that its iterations share."""
 
     def __init__(
         self, views: Views, config: FitConfig,
@@ -71,7 +71,7 @@ class DirectFit:
             self.calm = STEPS if max(rates.sh_dc, rates.sh_rest) < 1e3 and _is_small(gaussians.sh) else 0
         return plain and self.calm > 0
 
-    @np.errstate(over="ignore", invalid="ignore")  # what is infinite is seen below
+    @np.errstate(over="ignore", invalid="ignore")  # infinite values are noticed below
     def step(
         self, gaussians: Gaussians, adam: Adam, view: int, target: Tensor, rates: LearningRates, means_rate: float,
         sh_degree: int, opacity_reg: float,
@@ -82,7 +82,7 @@ class DirectFit:
             gaussians: Float32 on the CPU, contiguous, as is the target.
             adam: Their optimiser.
             view: Number of the camera.
-            target: What it should show [H, W, 3].
+            target: The picture it should show [H, W, 3].
             rates: Learning rates.
             means_rate: Of the means, world units.
             sh_degree: Of the harmonics that are rendered and trained.
@@ -136,7 +136,7 @@ class DirectFit:
     def _activate(
         self, gaussians: Gaussians, log_scales: np.ndarray, logits: np.ndarray
     ) -> tuple[pipeline.Shape, np.float32, np.float32]:
-        """What is rendered, and the means of its scales and opacities."""
+        """The shape to render, and the means of its scales and opacities."""
         n = len(logits)
         scales, opacities = carve(((n, 3), np.float32), (n, np.float32), empty=empty)
         sums = np.empty(-(-3 * n // activations.BLOCK)), np.empty(-(-n // activations.BLOCK))

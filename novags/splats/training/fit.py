@@ -35,16 +35,16 @@ LOG_EVERY = 10  # iterations between entries of FitResult.losses and calls of pr
 
 @dataclass(kw_only=True)
 class FitResult:
-    """Trained Gaussians and cameras (detached) and what they cost.
+    """Trained Gaussians and cameras (detached) and their cost.
 
     Attributes:
         gaussians: The scene.
-        viewmats: Training cameras at the end [C, 4, 4]: refined, or as they were given. The Gaussians belong to them.
-        config: How they were trained, with the extent: `config.splatting` shows them as they were seen in training.
+        viewmats: Training cameras at the end [C, 4, 4]: refined, or as given. The Gaussians belong to them.
+        config: How they were trained, with the extent: `config.splatting` shows them as in training.
         losses: One entry per LOG_EVERY iterations and one for the last: "iteration", "loss", "photometric",
             "n_gaussians", and "norm_means", "norm_quats", ...: the Euclidean norm of each tensor of the Gaussians.
         seconds: Wall time, of the stopped runs before this one too.
-        earlier: Of these, what the stopped runs before this one took.
+        earlier: Of these, the seconds of stopped runs before this one.
         peak_bytes: Largest resident memory of the process (CPU) or largest allocation (CUDA) so far.
     """
 
@@ -81,7 +81,7 @@ def fit(
         photometric: Scalar loss of the Step and its target, which may then be of any shape; None is
             (1 - w) L1 + w (1 - SSIM) with `config.dssim_weight`. A `PixelLoss` spares the CPU autograd.
         extra_losses: Called with the Step after rendering; each returns a scalar to add, or None.
-        companion: What the losses use and train beside the Gaussians; changed in place.
+        companion: Parts that the losses use and train beside the Gaussians; changed in place.
         before_step: Called with the iteration number before it starts.
         needs_depth: Render expected depth too; a function is asked in every iteration, by its number.
         progress: Called with (iterations done, of how many, log entry) for each entry of `FitResult.losses`.
@@ -177,7 +177,9 @@ def _save(path: Path, settings: dict[str, object], started: float, state: Traini
 def _stopped(
     stop: NotFinite, state: TrainingState, checkpoint: Path | None, save: Callable[[TrainingState], None] | None
 ) -> NotFinite:
-    """What to raise for `stop`, once the state before it is saved; a damaged one must not replace the last good one."""
+    """The error to raise for `stop`, once the state before it is saved; a damaged one must not replace the last good
+    one.
+    """
     if save is None:
         return stop
     if stop.resumable:
@@ -198,7 +200,7 @@ def _check_views(gaussians: Gaussians, views: Views) -> None:
 
 
 def _identity(gaussians: Gaussians, views: Views, config: FitConfig) -> dict[str, object]:
-    """What a run is started with, targets and extra losses apart: a checkpoint of another run must not be taken."""
+    """The settings of a run, targets and extra losses apart: a checkpoint of another run must not be taken."""
     size = torch.tensor([views.width, views.height])
     return {
         **dataclasses.asdict(config), "views": len(views),

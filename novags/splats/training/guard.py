@@ -11,8 +11,8 @@ class NotFinite(ValueError):
     """A loss, gradient or parameter is NaN or infinite; the message says which, in which step and of which view.
 
     Attributes:
-        resumable: Whether what is trained is as it was before that step, so that a checkpoint of it leads there again
-            at once. If not, the last checkpoint does, or the start.
+        resumable: Whether the parameters are unchanged since before that step, so that a checkpoint of them leads there
+            again at once. If not, the last checkpoint does, or the start.
     """
 
     def __init__(self, message: str, *, resumable: bool = True) -> None:
@@ -31,7 +31,7 @@ def require_finite(what: str, tensors: Mapping[str, Tensor], where: str, *, resu
     """Raise NotFinite for the first tensor that is not finite.
 
     Args:
-        what: What the tensors are: "parameter", "gradient of".
+        what: The kind of tensors: "parameter", "gradient of".
         tensors: By name.
         where: Step and view.
         resumable: See NotFinite.

@@ -39,7 +39,8 @@ class Step:
         render: [H, W, 3].
         alpha: [H, W].
         info: Of `rasterize`, not packed, for this one view: "means2d" [1, N, 2], "radii" [1, N, 2], "depths" [1, N].
-        views: All training views as they are now; where cameras are refined, `views.viewmats` is differentiable too.
+        views: All training views in their present state; where cameras are refined, `views.viewmats` is differentiable
+            too.
         splat: Renders other values of the same Gaussians from this view: [N, D] -> [H, W, D], or spherical harmonics
             [N, K, 3] -> [H, W, 3] of the degree that `render` shows; differentiable in the values and the Gaussians.
         rasterize_view: Renders view j now: (render [H, W, 3], depth [H, W], alpha [H, W], info).
@@ -94,7 +95,7 @@ def render_step(
         scales: Of the Gaussians, activated [N, 3].
         opacities: Of the Gaussians, activated [N].
         views: All training views.
-        view: Index of the one to render.
+        view: Index of the view to render.
         iteration: From 0.
         iterations: Of the whole run.
         sh_degree: Highest spherical-harmonics degree to render, 0..3.

@@ -1,1 +1,1 @@
-"""What a person sees of the work, and the machine that it is done on."""
+"""The display of the work, and the machine that it is done on."""

@@ -10,7 +10,7 @@ QUOTAS = (("cpu.max",), ("cpu.cfs_quota_us", "cpu.cfs_period_us"))  # of version
 
 
 def cores_here() -> int:
-    """Cores of this machine that this process may use, at most those whose time its control groups have."""
+    """Cores of this machine that this process may use, at most the number whose time its control groups have."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return min([cores, *_of_groups()])
 

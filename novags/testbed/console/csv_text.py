@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 MARK = "'"  # what spreadsheets take for "this is text"
-FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n", "＝", "＋", "－", "＠")  # with what they take for the beginning of one
+# Beginnings of formulas, and characters that spreadsheets take for one.
+FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n", "＝", "＋", "－", "＠")
 
 
 def as_csv(rows: Sequence[Mapping[str, Any]], columns: Sequence[str] | None = None) -> str:
@@ -14,7 +15,7 @@ def as_csv(rows: Sequence[Mapping[str, Any]], columns: Sequence[str] | None = No
 
     Args:
         rows: Values by column.
-        columns: In this order; None: as they come.
+        columns: In this order; None: in the order of their first appearance.
     """
     names = list(dict.fromkeys(name for row in rows for name in row)) if columns is None else columns
     return "".join(map(_line, [names, *([row.get(name) for name in names] for row in rows)]))
@@ -27,7 +28,9 @@ def _line(values: Sequence[Any]) -> str:
 
 
 def _cell(value: Any) -> Any:
-    """A value; text that a spreadsheet would compute is marked, and so is what begins with the mark: see `text_of`."""
+    """A value; text that a spreadsheet would compute is marked, and so is text that begins with the mark: see
+    `text_of`.
+    """
     if not isinstance(value, str) or not value.startswith((MARK, *FORMULA)) or _is_number(value):
         return value
     return MARK + value

@@ -7,7 +7,8 @@ MEMBERSHIP = Path("/proc/self/cgroup")
 
 
 def levels(controller: str) -> list[Path]:
-    """Folders of this process's group and of those above it, of versions 1 and 2; the lowest of their limits holds.
+    """Folders of this process's group and of the groups above it, of versions 1 and 2; the lowest of their limits
+    holds.
 
     In a container without a namespace of its own for groups, MEMBERSHIP names folders that are not there to see: its
     limits are in the root, which is always among these.

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from novags.testbed.console.groups import levels
 
-# How those that have no class for it put it. The system's own words, whatever error they are passed on in; and those of
-# torch, OpenCV and Dr.Jit, which are taken for that only in an error that a library raises.
+# Messages of libraries without an exception class for lack of memory. The system's own words count in any error; the
+# words of torch, OpenCV and Dr.Jit count only in an error that a library raises.
 _SYSTEM = re.compile(r"cannot allocate memory|can't allocate memory|failed to map segment", re.I)
 _LIBRARIES = re.compile(r"not enough memory|out of memory|insufficient memory", re.I)
 
@@ -20,7 +20,7 @@ def memory_shortage_said(what: str) -> Iterator[None]:
     """Turn every library's way to report that there is too little memory into one that says what to do.
 
     Args:
-        what: What needs the memory.
+        what: The work that needs the memory.
 
     Raises:
         MemoryError: For such an error; others pass.
@@ -33,7 +33,7 @@ def memory_shortage_said(what: str) -> Iterator[None]:
         where = "the GPU's memory" if _of_gpu(error) else "memory"
         first = (str(error).strip().splitlines() or [type(error).__name__])[0]
         raise MemoryError(
-            f"{what}: {where} is not enough ({first[:200]}): what is finished is kept; free some and run the same "
+            f"{what}: {where} is not enough ({first[:200]}): finished work is kept; free some and run the same "
             "again, or choose fewer points, smaller images or fewer views"
         ) from error
 
@@ -52,7 +52,7 @@ def _of_gpu(error: BaseException) -> bool:
 
 
 def available_bytes() -> int:
-    """Main memory that a further process can take: what the system has free, less where a group of processes has less.
+    """Main memory that a further process can take: the system's free memory, less where a group of processes has less.
 
     Linux says both; elsewhere it is the whole memory, which is an upper bound.
     """
@@ -65,7 +65,7 @@ def available_bytes() -> int:
 
 
 def _left_to_groups() -> Iterator[int]:
-    """What the limits of this process's control groups leave, where they have one (version 2, then 1)."""
+    """The rest within the limits of this process's control groups, where they have one (version 2, then 1)."""
     for group in levels("memory"):
         for limit, used, cached in (
             ("memory.max", "memory.current", "inactive_file"),

@@ -1,4 +1,4 @@
-"""What a result was made with and what it cost: versions, hardware, peak memory."""
+"""The origin and the cost of a result: versions, hardware, peak memory."""
 
 import ctypes
 import os
@@ -38,7 +38,7 @@ def package_version(name: str) -> str | None:
 
 
 def environment(outside: Mapping[str, str] | None = None) -> dict[str, Any]:
-    """Versions and hardware, as every record states them; `outside`: versions of what else was used, by name."""
+    """Versions and hardware, as every record states them; `outside`: versions of other packages in use, by name."""
     return {"versions": {**_versions(), **(outside or {})}, "hardware": hardware()}
 
 

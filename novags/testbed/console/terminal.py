@@ -19,7 +19,7 @@ PLAIN_INTERVAL = 5.0  # s between two plain lines of one stage: shows progress, 
 
 
 class Console:
-    """Where stages report what they do."""
+    """Where stages report their progress."""
 
     def __init__(self, *, quiet: bool = False, stream: TextIO | None = None) -> None:
         self.quiet = quiet

@@ -13,9 +13,9 @@ PREPARED = 0.05  # share of a part's steps: time until a first report sooner tha
 class TimeLeft:
     """Seconds left of work whose parts follow each other, and whose steps are counted through.
 
-    The part that is under way is extrapolated from its own steps, without what came before the first of them. A later
-    one takes what its steps took before, preparation included: in this work if it has begun already, else in other work
-    of this process, which `paces` remembers.
+    The part that is under way is extrapolated from its own steps, without the time before the first of them. A later
+    one takes as long as its steps took before, preparation included: in this work if it has begun already, else in
+    other work of this process, which `paces` remembers.
     """
 
     def __init__(
@@ -40,7 +40,8 @@ class TimeLeft:
         parts = self.parts if sum(self.parts.values()) == total else {"": total}
         part, begin, end = _part_of(parts, done)
         if part != self.part:
-            # What came before the first step of a later part belongs to it. Of resumed work what is done now counts.
+            # The time before the first step of a later part belongs to it. Of resumed work only the part done now
+            # counts.
             self.whole = (now, done) if self.part is None else (self.last, begin)
             self.steps = (now, done) if done - begin <= PREPARED * (end - begin) else self.whole
             self.part = part

@@ -9,7 +9,7 @@ from novags.testbed.dataset.publish import Entry
 
 # Textures of scene files may be photographs.
 CATALOGUE_ONLY = "Everything is rendered: no photograph is part of it, and nothing shows a real place or person."
-# What is simulated is what the plans switched on; this is what no scene and no camera here has.
+# Simulated effects are switched on by the plans; no scene and no camera here has these.
 NEVER = (
     "Scenes stand still; nothing moves between two views.",
     "Noise follows the camera models named above; compression, sharpening and denoising in a camera are not simulated "
@@ -35,7 +35,7 @@ def card(config: DatasetConfig, entries: Sequence[Entry], manifest: dict[str, An
         if own:
             lines.append(f"| {split} | {_some(scenes)} | {len(own)} | {sum(c.record['views'] for c in own)} |")
     together = "scene with all its variations" if config.split_by == "scene" else "variation of a scene"
-    lines += ["", f"No {together} lies in two splits.", "", "## What is in it", "", *_LAYOUT, ""]
+    lines += ["", f"No {together} lies in two splits.", "", "## Contents", "", *_LAYOUT, ""]
     lines += ["## How it was made", "", f"By novags {manifest['software']['novags']}: scenes rendered by Mitsuba "
               f"{manifest['software']['mitsuba']}, then exposed by a model of each camera. "
               "No two captures share the random numbers of noise (`noise_seed` in `index.csv`); the fixed pattern "
@@ -48,8 +48,8 @@ def card(config: DatasetConfig, entries: Sequence[Entry], manifest: dict[str, An
         entries), ""]  # fmt: skip
     cost = manifest["cost"]
     lines += [f"It took {cost['seconds']:.0f} s of work and holds {cost['bytes'] / 1e6:.1f} MB. `manifest.json` has "
-              "what every set and capture simulates and what it leaves out, with reasons and bounds, its cost, and the "
-              "SHA-256 of every file.", "", "## What is not in it", ""]  # fmt: skip
+              "the effects that every set and capture simulates or leaves out, with reasons and bounds, its cost, and "
+              "the SHA-256 of every file.", "", "## Not in it", ""]  # fmt: skip
     never = NEVER if any(entry.scene.endswith(".xml") for entry in entries) else (CATALOGUE_ONLY, *NEVER)
     return "\n".join([*lines, *(f"- {text}" for text in never), ""])
 

@@ -1,9 +1,9 @@
 """The file of a data set: a study file without methods, and a table [dataset].
 
 [dataset]
-name = "dark-rooms"                what it is called
-licence = "CC-BY-4.0"              of what is made, as SPDX spells it
-split_by = "scene"                 what never lies in two splits: a scene with all its variations, or a "variation"
+name = "dark-rooms"                its name
+licence = "CC-BY-4.0"              of the data, as SPDX spells it
+split_by = "scene"                 never lies in two splits: a scene with all its variations, or a "variation"
 shard_mb = 256                     WebDataset shards of this size; none if left out
 description, version, creators, url, date
 [dataset.split]                    train = 0.8, val = 0.1, test = 0.1 if left out; or lists of scenes
@@ -33,7 +33,7 @@ NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
 @dataclass(frozen=True, kw_only=True)
 class DatasetConfig:
-    """What a data set is called and how it is divided.
+    """The name of a data set and its division.
 
     Attributes:
         name: Letters, digits and . _ -
@@ -43,7 +43,7 @@ class DatasetConfig:
         creators: Names.
         url: Where it will be found.
         date: Of publication, YYYY-MM-DD.
-        split_by: What never lies in two splits.
+        split_by: The unit that never lies in two splits.
         split: Share of the units, or list of scenes, of each split.
         shard_mb: Size of WebDataset shards, 1e6 bytes; None: no shards.
         seed: Of the order in which scenes are dealt out to splits.
@@ -98,14 +98,14 @@ def read_dataset(path: Path) -> tuple[Study, DatasetConfig]:
             raise ValueError(f"{path}: {cell.label}: a data set is of rendered scenes, and this one was photographed: "
                              "leave it out")  # fmt: skip
         if (size := cell.preset.capture.max_size) is not None:
-            raise ValueError(f"{path}: {cell.label}: max_size = {size} would make dark pictures smaller than those in "
-                             "good light: choose width and height instead")  # fmt: skip
+            raise ValueError(f"{path}: {cell.label}: max_size = {size} would make dark pictures smaller than well-"
+                             "lit ones: choose width and height instead")  # fmt: skip
     cells = (Cell(c.values, with_own_noise(c.preset, spelled(c.preset.render.scene, path))) for c in study.cells)
     return replace(study, cells=tuple(cells), table=table), config
 
 
 def spelled(scene: str, file: Path) -> str:
-    """The one name of a scene in a data set: that of the catalogue, or the path from the folder of the file."""
+    """The one name of a scene in a data set: its name in the catalogue, or the path from the folder of the file."""
     return os.path.relpath(scene_identity(scene), resolved(file.parent)) if scene.endswith(".xml") else scene
 
 

@@ -1,4 +1,4 @@
-"""What a data set will take, before any work."""
+"""The cost of a data set, before any work."""
 
 from collections.abc import Mapping
 from pathlib import Path

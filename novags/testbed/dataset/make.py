@@ -47,7 +47,7 @@ def splits(study: Study, config: DatasetConfig) -> dict[str, str]:
 
 
 def publish(plan: Plan, config: DatasetConfig, store: Path, out: Path, console: Console) -> Path:
-    """Write the data set; returns its manifest. What is there already is kept.
+    """Write the data set; returns its manifest. Existing files are kept.
 
     Args:
         plan: Of which every entry is complete.
@@ -109,7 +109,7 @@ def _remove_others(entries: list[Entry], out: Path) -> None:
 
 
 def _checksums(entries: list[Entry], out: Path, console: Console) -> dict[str, dict[str, Any]]:
-    """Checksums of the files that hold data: those of the entries, and the index."""
+    """Checksums of the files that hold data: files of the entries, and the index."""
     places = [place for split in SPLITS for place in sorted(entry.place for entry in entries if entry.split == split)]
     found = [path for place in places for path in sorted((out / place).rglob("*")) if path.is_file()]
     result = {}

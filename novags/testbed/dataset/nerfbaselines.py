@@ -5,7 +5,7 @@ METHOD/SCENE/results.json           scores of every view, as little-endian float
 METHOD/SCENE/predictions/           color/ and gt-color/: the 8-bit pictures that the scores compare
 
 Scores are of 8-bit pictures, as there: PSNR, SSIM (11 x 11 Gaussian window), MAE, MSE, LPIPS (AlexNet) where it is
-installed. Only `reference` decides what is compared; it is part of the name of the data set.
+installed. Only `reference` decides on the compared pictures; it is part of the name of the data set.
 """
 
 import base64
@@ -56,7 +56,7 @@ def export_results(
         folders: Of runs, experiments or studies, or folders that hold runs and experiments.
         out: Where to write.
         console: Where progress goes.
-        reference: What pictures are compared with: the views in good light, or the enhanced noise-free exposures.
+        reference: The reference of pictures: the views in good light, or the enhanced noise-free exposures.
         dataset: Name of the data set.
         overwrite: Replace results that are there.
 
@@ -104,7 +104,9 @@ def _named(runs: Sequence[Run], reference: str, console: Console) -> list[tuple[
 
 
 def scene_names(capture: Capture) -> Iterator[str]:
-    """What tells a capture from others: scene, camera, light, seed; where that is not enough, size, or its content."""
+    """The values that tell a capture from others: scene, camera, light, seed; where that is not enough, size, or its
+    content.
+    """
     record = capture.record
     parts = [capture.path.name if record.scene is None else record.scene, record.sensor_name or "camera"]
     if (told := record.simulated) is not None:

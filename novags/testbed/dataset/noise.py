@@ -10,7 +10,7 @@ from novags.testbed.ledger.contents import digest
 from novags.testbed.stages.configs.capturing import OwnNoiseConfig
 from novags.testbed.study.cells.presets import Preset
 
-SEEDS = 2**53  # every reader of JSON and CSV holds whole numbers up to here, also those that take them for floats
+SEEDS = 2**53  # every reader of JSON and CSV holds whole numbers up to here, also readers that take them for floats
 
 
 def with_own_noise(preset: Preset, scene: str) -> Preset:
@@ -20,7 +20,7 @@ def with_own_noise(preset: Preset, scene: str) -> Preset:
 
     Args:
         preset: Of one capture.
-        scene: What is rendered, by a name that no other scene of the data set has.
+        scene: The rendered scene, by a name that no other scene of the data set has.
     """
     given = {field.name: getattr(preset.capture, field.name) for field in fields(preset.capture) if field.init}
     told = {"scene": scene, "render": preset.render.resolved(), "capture": preset.capture.resolved()}

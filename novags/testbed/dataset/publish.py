@@ -1,6 +1,6 @@
 """Sets and captures of a store as a data set: SPLIT/set/NAME and SPLIT/capture/NAME, and a row for each view.
 
-Files are links to those of the store where the disk allows it, and then take no further room; else copies.
+Files are links to the store's where the disk allows it, and then take no further room; else copies.
 """
 
 import os
@@ -31,11 +31,11 @@ class Entry:
     """A set or a capture of a data set.
 
     Attributes:
-        task: What made it.
-        scene: What was rendered, as `spelled` names it.
+        task: The task that made it.
+        scene: The rendered scene, as `spelled` names it.
         split: Where it lies.
         values: Of the axes, of a capture.
-        seal: What it cost.
+        seal: Its cost.
         files: Checksum of each of its files.
         record: Its set.json or capture.json.
     """
@@ -54,7 +54,7 @@ class Entry:
         return f"{self.split}/{self.task.kind}/{self.task.name}"
 
     def facts(self) -> dict[str, Any]:
-        """For the manifest: what it is, what was simulated and what not, what it cost."""
+        """For the manifest: its kind, its simulated and omitted effects, its cost."""
         kept = {name: self.record.get(name) for name in ("sensor_name", "electrons", "seed", "noise_seed", "spp",
                                                          "n_views", "views", "width", "height")}  # fmt: skip
         kept["views"] = kept["views"] if isinstance(kept["views"], int) else kept["n_views"]
@@ -69,7 +69,9 @@ class Entry:
 
 
 def simulated(plan: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Effects that are in the data, those that are not, each with its reason, and the bound on what that changes."""
+    """Effects that are in the data, effects that are not, each with its reason, and the bound on the change from
+    leaving it out.
+    """
     if plan is None:
         return {"on": "all", "off": {}}
     effects = plan["effects"]
@@ -102,7 +104,7 @@ def entries_of(plan: Plan, store: Path, splits: Mapping[str, str]) -> list[Entry
 
 
 def link(entry: Entry, store: Path, out: Path) -> None:
-    """Put the files of an entry into the data set; those that are there already, and whole, stay.
+    """Put the files of an entry into the data set; files that are there already, and whole, stay.
 
     Raises:
         OSError: If the disk is full or may not be written to.
@@ -126,7 +128,7 @@ def link(entry: Entry, store: Path, out: Path) -> None:
 
 @dataclass(frozen=True)
 class View:
-    """One view of a capture: what an index row and a sample of a shard say."""
+    """One view of a capture: the content of an index row and of a sample of a shard."""
 
     row: dict[str, Any]
     cameras: MultiviewSet

@@ -98,12 +98,12 @@ def _write(path: Path, samples: list[tuple[str, View]], out: Path) -> None:
 
 def _add(tar: tarfile.TarFile, name: str, content: bytes) -> None:
     member = tarfile.TarInfo(name)
-    member.size, member.mode = len(content), 0o644  # time 0 and owner 0 are what it begins with
+    member.size, member.mode = len(content), 0o644  # it begins with time 0 and owner 0
     tar.addfile(member, io.BytesIO(content))
 
 
 def about(view: View) -> dict[str, Any]:
-    """What a sample says beside its pictures: its row without paths, and its camera."""
+    """The text of a sample beside its pictures: its row without paths, and its camera."""
     rig = view.cameras.rig
     kept = {name: value for name, value in view.row.items() if name not in MEMBERS}
     return {**kept, "viewmat": rig.viewmats[view.i].tolist(), "K": rig.Ks[view.i].tolist(), "width": rig.width,

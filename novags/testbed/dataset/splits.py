@@ -10,7 +10,7 @@ LARGEST = 1e9  # shares are relative to each other; their sums and products with
 
 
 def unit_of(scene: str, by: str) -> str:
-    """What stays together: a scene with all its variations ("tabletop" of "tabletop:3"), or the variation."""
+    """The unit that stays together: a scene with all its variations ("tabletop" of "tabletop:3"), or the variation."""
     head, colon, number = scene.rpartition(":")
     return head if by == "scene" and colon and number.isdigit() else scene
 

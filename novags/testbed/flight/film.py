@@ -74,7 +74,7 @@ class _Mp4:
         self.release()
 
     def release(self) -> None:
-        """Let go of what is open; what was not finished is lost."""
+        """Close open files; an unfinished film is lost."""
         if self._writer is not None:
             self._writer.release()
 

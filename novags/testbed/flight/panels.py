@@ -19,7 +19,7 @@ class Panel:
 
     Attributes:
         image: sRGB code, 0..1, [h,w,3].
-        title: What it is.
+        title: Its caption.
         note: Where it comes from.
     """
 
@@ -45,7 +45,7 @@ def frame(panels: list[Panel]) -> np.ndarray:
 
 
 def _fitted(images: list[np.ndarray]) -> list[np.ndarray]:
-    """Pictures that have room beside each other in a frame: as they are, or all shrunk alike."""
+    """Pictures that have room beside each other in a frame: unchanged, or all shrunk alike."""
     wide, high = sum(image.shape[1] for image in images), max(image.shape[0] for image in images)
     share = min((LARGEST - GAP * len(images)) / wide, (LARGEST - BAR) / high)
     if share >= 1:

@@ -30,8 +30,8 @@ def fly(viewmats: Array, frames: int) -> Flight:
     """A path of `frames` cameras through all given ones [C, 4, 4], at an even pace: cubic splines of positions and of
     rotations. It passes between some where they are denser than frames.
 
-    They are passed in the given order, or from each to the nearest one that is left where that way is shorter, as it
-    is for photographs in no order.
+    They are passed in the given order, or from each to the nearest one left where that way is shorter, as for
+    photographs in no order.
 
     Raises:
         ValueError: If there are fewer than two different cameras, or fewer than two frames.
@@ -58,8 +58,8 @@ def fly(viewmats: Array, frames: int) -> Flight:
 def paced(knots: Array, frames: int) -> Array:
     """Times at an even pace [frames], from the first knot to the last one.
 
-    Where there are as many as knots, times are moved by up to half a frame so that knots fall on them, or one of those
-    that are denser than frames.
+    Where there are as many as knots, times are moved by up to half a frame so that knots fall on them, or one of
+    several that are denser than frames.
     """
     if frames < len(knots):
         return np.linspace(knots[0], knots[-1], frames)
@@ -78,7 +78,7 @@ def distances(a: Array, b: Array) -> Array:
 
 
 def shorter_order(apart: Array) -> list[int]:
-    """The given order, or the one that goes to the nearest camera left each time, whichever is shorter.
+    """The given order, or the order that goes to the nearest camera left each time, whichever is shorter.
 
     Args:
         apart: How far the cameras are from each other [C, C].

@@ -1,4 +1,4 @@
-"""A flight through what a run reconstructed, on a smooth path through its training cameras."""
+"""A flight through the reconstruction of a run, on a smooth path through its training cameras."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -29,7 +29,7 @@ LONGEST = 20_000  # frames of one film
 
 @dataclass
 class Beside:
-    """What is known of the places of a flight: pictures of the training views.
+    """The places of a flight that have pictures: the training views.
 
     Attributes:
         run: The run.

@@ -1,1 +1,1 @@
-"""What is stored on disk: sets, captures, runs, and the files in them."""
+"""Results on disk: sets, captures, runs, and the files in them."""

@@ -7,7 +7,7 @@ truth/NNNN.exr        digital numbers: analytic mean and variance, noise-free (c
                       filter array also what three chips would give without noise (clean.R, clean.G, clean.B)
 transforms.json ...   the cameras, as in a multiview set
 
-A capture that was imported (`folders.imported`) has of these what its photographs have.
+A capture that was imported (`folders.imported`) has only the files that its photographs provide.
 """
 
 from collections.abc import Callable
@@ -69,7 +69,7 @@ def write_view(
         demosaic: As for `develop`.
         color_matrix: As for `develop`.
         jpeg_quality: As for `develop`.
-        clean_rgb: Of a frame behind a colour filter array: what all three channels of each pixel would give without
+        clean_rgb: Of a frame behind a colour filter array: the signal of all three channels of each pixel without
             noise, [h,w,3], DN.
     """
     for part in ("raw", "truth"):
@@ -102,9 +102,9 @@ class Capture:
     path: Path
     record: CaptureRecord
     cameras: MultiviewSet
-    content: str  # hash of all that the capture stage wrote, as it was when this was opened
-    reads: Reads = field(default_factory=dict, repr=False, compare=False)  # its JSON files, as they were opened
-    memo: Memo = field(default_factory=Memo, repr=False, compare=False)  # what was read and computed from it so far
+    content: str  # hash of all that the capture stage wrote, from when this was opened
+    reads: Reads = field(default_factory=dict, repr=False, compare=False)  # its JSON files, as opened
+    memo: Memo = field(default_factory=Memo, repr=False, compare=False)  # values read and computed from it so far
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -118,11 +118,11 @@ class Capture:
 
     @property
     def imported(self) -> Imported | None:
-        """What is known of photographs from elsewhere; None: of simulated exposures."""
+        """Facts about photographs from elsewhere; None: for simulated exposures."""
         return self.record.imported
 
     def digest(self) -> str:
-        """Hash of all that the capture stage wrote, as it is now."""
+        """Present hash of all that the capture stage wrote."""
         return folder_digest(self.path, OWNS)
 
     def holds(self, part: str) -> bool:
@@ -175,7 +175,7 @@ class Capture:
     def clean_linear(self, i: int, *, demosaiced: bool = False) -> np.ndarray:
         """The noise-free exposure in linear light, float32 [h,w,3], in the unit of `linear16`.
 
-        Of a camera with a colour filter array: what all three channels of each pixel would have given. Of imported
+        Of a camera with a colour filter array: the signal of all three channels of each pixel. Of imported
         photographs: the clean long exposure, brought to the light of the dark ones by one factor.
 
         Args:
@@ -208,7 +208,7 @@ class Capture:
         return develop_linear(dn, replace(self.sensor, cfa=None), color_matrix=matrix)
 
     def truth(self, i: int, kind: str) -> np.ndarray:
-        """What is known of each pixel of a simulated exposure, float32 [h,w], or [h,w,3] of three chips.
+        """Known values of each pixel of a simulated exposure, float32 [h,w], or [h,w,3] of three chips.
 
         Args:
             i: The view.
@@ -251,7 +251,7 @@ class Capture:
 
     @property
     def pixels_share(self) -> tuple[str, ...]:
-        """Why the noise of neighbouring pixels is not independent, where that of the channels may be."""
+        """Why the noise of neighbouring pixels is not independent, where the channels' noise may be."""
         return () if self.record.resampled is None else ("resampling",)
 
     @property
@@ -274,7 +274,7 @@ class Capture:
 
     @property
     def noise(self) -> Noise | None:
-        """The noise of the camera, or what the training pictures say themselves (`Noise.origin`).
+        """The noise of the camera, or an estimate from the training pictures (`Noise.origin`).
 
         They do where the camera is not known, or pixels were averaged after the exposure; None if they are too small.
         """
@@ -303,10 +303,11 @@ class Capture:
         return found
 
     def source(self, console: Console) -> Source:
-        """The set this capture was made from; of imported photographs what they themselves and their lit twins tell.
+        """The set this capture was made from; of imported photographs, the set that they themselves and their lit twins
+        form.
 
         Raises:
-            ValueError: If the set is no longer where it was, or no longer what it was.
+            ValueError: If the set has moved or changed.
         """
         if (made_of := self.record.simulated) is None:
             return self._twins(console)
@@ -341,7 +342,7 @@ def _truth_dn(path: Path, kind: str) -> np.ndarray:
 
 
 def _channels_of(path: Path, kind: str, channels: dict[str, np.ndarray] | None = None) -> np.ndarray:
-    """Three channels [h,w,3] of a truth file, of all those that it holds."""
+    """Three channels [h,w,3] of a truth file, of all the channels in it."""
     found = read_exr(path)[0] if channels is None else channels
     if missing := [name for colour in "RGB" if (name := f"{kind}.{colour}") not in found]:
         raise ValueError(f"{path} lacks the channels {', '.join(missing)}: capture again")
@@ -362,7 +363,7 @@ def open_capture(path: Path) -> Capture:
     with read_once({}) as reads:
         record = read_capture_record(path / RECORD)
         known = _OPENED.get(place)
-        # Digests leave out what a record says of costs and inputs: it has to be the same to the byte.
+        # Digests leave out a record's entries on costs and inputs: it has to be the same to the byte.
         if known is not None and known.reads.items() >= reads.items() and known.digest() == known.content:
             return known
         content = folder_digest(path, OWNS)

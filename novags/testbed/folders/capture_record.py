@@ -1,4 +1,4 @@
-"""capture.json as a typed value: what its pictures were taken with, and what they were made from.
+"""capture.json as a typed value: the settings that its pictures were taken with, and their source.
 
 A capture is simulated, or photographs that were imported: it has one of these two parts.
 """
@@ -24,18 +24,18 @@ LARGEST = 1e6  # in a colour matrix, whose entries are of order 1: far larger on
 
 @dataclass(frozen=True, kw_only=True)
 class Simulated:
-    """What is known of exposures that were simulated.
+    """Facts about simulated exposures.
 
     Attributes:
         set_path: Where the set was, relative to the capture.
-        set_content: Hash of the set as it was.
-        max_size: Of the pictures, px; None: that of the set.
+        set_content: Hash of the set at the time.
+        max_size: Of the pictures, px; None: the set's.
         background: Behind transparent pixels of photographs; None: there are none.
         electrons: Mean of green over the set, e-.
         mean_green: Radiance that gave them; None: of an earlier version.
-        signal_quantiles_e: Of what the sensor's channels collect, e-, by the share of pixels that see less.
+        signal_quantiles_e: Of the charge that the sensor's channels collect, e-, by the share of pixels that see less.
         jpeg_quality: None: PNG.
-        seed: As it was asked for.
+        seed: As asked for.
         noise_seed: Of the noise itself.
         plan: As `Plan.to_dict`; None: every effect is simulated.
     """
@@ -55,12 +55,12 @@ class Simulated:
 
 @dataclass(frozen=True, kw_only=True)
 class Imported:
-    """What is known of somebody else's photographs.
+    """Facts about somebody else's photographs.
 
     Attributes:
         parts: The folders among `PARTS` that are there.
         levels: Of raw frames: colour filter array (None: three chips), DN without light, DN of saturation.
-        depth: "8bit", "16bit" or "raw", as they were given.
+        depth: "8bit", "16bit" or "raw", as given.
         lit: The views in good light: "folder", "paired", "resampled".
         clean: The long exposures: "folder", "paired", "gain", "white_share".
         dataset: The published data set; None: none.
@@ -78,7 +78,7 @@ class Imported:
 
 @dataclass(frozen=True, kw_only=True)
 class CaptureRecord:
-    """What capture.json says.
+    """The content of capture.json.
 
     Attributes:
         scene: Its name; None: of an earlier version.
@@ -93,7 +93,7 @@ class CaptureRecord:
         jpeg: Whether some pictures were compressed with losses.
         resampled: How pixels were averaged after the exposure, in words that complete "of their pixels"; None: not.
         files: The photograph of each view, where they were renamed or imported.
-        stage: What the ledger knows of its making: key, configuration, cost, checksums.
+        stage: The ledger's entry on its making: key, configuration, cost, checksums.
         simulated: Of simulated exposures.
         imported: Of photographs.
     """
@@ -119,7 +119,7 @@ def read_capture_record(path: Path) -> CaptureRecord:
     """The capture.json at `path`.
 
     Raises:
-        ValueError: If it is not what the stage wrote.
+        ValueError: If it has changed since the stage wrote it.
     """
     foreign = read_json(path).get("kind") == "imported"
     found = read_json(path, shapes.IMPORT if foreign else shapes.CAPTURE)

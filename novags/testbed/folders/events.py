@@ -1,4 +1,4 @@
-"""events.jsonl: the losses of a run, one line per step, on disk as soon as they are known."""
+"""events.jsonl: the losses of a run, one line per step, on disk at once."""
 
 import json
 from pathlib import Path
@@ -17,10 +17,10 @@ LOSS = {"iteration": float, "photometric": MEASURED}
 
 
 class EventLog:
-    """Appends events to a file; a killed process loses none but the one it was writing.
+    """Appends events to a file; a killed process loses at most the event that it was writing.
 
-    A run that goes on from a checkpoint repeats the steps after it: its first step replaces what the file holds from
-    there on, so that the file is in the end that of a run that was never stopped.
+    A run that goes on from a checkpoint repeats the steps after it: its first step replaces the lines from there on, so
+    that the file in the end equals the file of an undisturbed run.
     """
 
     def __init__(self, path: Path) -> None:
@@ -33,7 +33,7 @@ class EventLog:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         if self._file is not None:
             self._file.close()
-        elif kind is None:  # nothing was left to do: only what is whole stays
+        elif kind is None:  # nothing was left to do: only whole lines stay
             self._keep(None)
 
     def add(self, event: dict[str, Any]) -> None:

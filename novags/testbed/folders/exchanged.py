@@ -1,4 +1,6 @@
-"""Whether the files of a set, a capture or a run are as they were written, wherever such a folder is opened."""
+"""Whether the files of a set, a capture or a run are unchanged since they were written, wherever such a folder is
+opened.
+"""
 
 from pathlib import Path
 
@@ -13,9 +15,9 @@ WRITTEN = {"stage": {"files?": {"*": str}}}  # by a stage of ours; other program
 
 
 def refuse_exchanged(folder: Path) -> None:
-    """Refuse a set, a capture or a run, or a folder in one, whose files are not as they were written.
+    """Refuse a set, a capture or a run, or a folder in one, whose files have changed since they were written.
 
-    Folders from elsewhere have no record of their files, and are as they are.
+    Folders from elsewhere have no record of their files, and are not compared.
 
     Raises:
         ValueError: Naming the files.

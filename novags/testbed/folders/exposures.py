@@ -1,4 +1,4 @@
-"""The exposures at which a run that ends in linear light is shown: those of the dark and of the well-lit pictures."""
+"""The exposures at which a run that ends in linear light is shown: like the dark and like the well-lit pictures."""
 
 from dataclasses import dataclass
 
@@ -20,7 +20,7 @@ class Exposures:
 
     Attributes:
         dark: To the exposure of the capture; None where every picture of it is black.
-        lit: To that of the well-lit pictures; None where they are not known, or black or white all over.
+        lit: To the exposure of the well-lit pictures; None where they are not known, or black or white all over.
     """
 
     dark: float | None
@@ -54,7 +54,7 @@ def _informs(code: np.ndarray) -> bool:
 
 
 def _light(code: np.ndarray) -> np.ndarray:
-    """Linear light of a picture in sRGB code; what it clips is put beyond white, where it does not count."""
+    """Linear light of a picture in sRGB code; clipped values are put beyond white, where they do not count."""
     return np.where(code < 1, srgb_to_linear(code), 2.0).astype(np.float32)
 
 
@@ -66,7 +66,7 @@ def as_compared(rendered: Image, run: Run, capture: Capture, reference: str, exp
         run: The run.
         capture: Its capture.
         reference: `lit`, or one that went through the enhancement of the run.
-        exposures: Of a run in linear light, which is brought to that of `lit`; None for others.
+        exposures: Of a run in linear light, which is brought to the exposure of `lit`; None for others.
     """
     if exposures is None or reference != "lit":
         return pictured(run, capture, rendered)

@@ -1,8 +1,8 @@
-"""What a capture folder of kind "imported" holds besides its pictures: photographs of somebody else's camera.
+"""Files of a capture folder of kind "imported" besides its pictures: photographs of somebody else's camera.
 
 lit/NNNN.png          the same views in good light, 8-bit sRGB, if they were given
-truth/NNNN.exr        clean.R, clean.G, clean.B: clean long exposures in linear light, brought to that of the dark
-                      pictures (0 = black, 1 = white), if they were given
+truth/NNNN.exr        clean.R, clean.G, clean.B: clean long exposures in linear light, brought to the light of the
+                      dark pictures (0 = black, 1 = white), if they were given
 """
 
 from pathlib import Path
@@ -22,7 +22,7 @@ def write_clean(folder: Path, name: str, light: np.ndarray) -> None:
 
 
 def read_clean(path: Path) -> np.ndarray:
-    """What `write_clean` wrote.
+    """The file of `write_clean`.
 
     Raises:
         ValueError: If the file cannot be read or is something else.
@@ -33,7 +33,7 @@ def read_clean(path: Path) -> np.ndarray:
     return np.stack([channels[name] for name in CHANNELS], axis=-1).astype(np.float32)
 
 
-MISSING = {  # of `capture_record.PARTS`: why a score or a method has nothing to go by, and what would give it
+MISSING = {  # of `capture_record.PARTS`: why a score or a method has nothing to go by, and a remedy
     "truth": "no noise-free exposure is known of these photographs: novags import takes --clean FOLDER (long exposures "
     "of the same views)",
     "lit": "nothing shows these views in good light: novags import takes --lit FOLDER (pictures of the same views)",

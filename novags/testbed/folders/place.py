@@ -18,7 +18,7 @@ Recorded = Mapping[str, str] | str
 
 
 def recorded_place(folder: Path, source: Path) -> dict[str, str]:
-    """What the record of `folder` says about `source`, the folder that it is made from."""
+    """The entry of the record of `folder` about `source`, the folder that it is made from."""
     return {"place": os.path.relpath(resolved(source), resolved(folder))}
 
 
@@ -32,7 +32,7 @@ def place_of(folder: Path, recorded: Recorded) -> Path:
 
     Args:
         folder: A capture or a run.
-        recorded: What its record says, relative to it.
+        recorded: The path in its record, relative to it.
 
     Raises:
         ValueError: If the file that says where it was moved to is damaged.
@@ -45,7 +45,7 @@ def place_of(folder: Path, recorded: Recorded) -> Path:
 
 
 def keep_place(folder: Path, recorded: Recorded, found: Path) -> None:
-    """Remember that `folder` was made from what is now at `found`, if its record says something else."""
+    """Remember that the input of `folder` is now at `found`, if its record says something else."""
     if resolved(folder / place_text(recorded)) == resolved(found):
         (folder / MOVED).unlink(missing_ok=True)
     else:

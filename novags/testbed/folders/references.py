@@ -1,11 +1,11 @@
-"""What the pictures of a method are compared with; references are never mixed.
+"""References for the pictures of a method; they are never mixed.
 
 `enhanced`: the noise-free dark exposure, enhanced exactly as its noisy twin, for methods whose output is enhanced: it
 isolates noise. `linear`: the noise-free exposure in linear light, for methods whose output is linear. Of a camera with
-a colour filter array both are of what all three channels of each pixel would have given; `enhanced_demosaiced` and
+a colour filter array both have the signal of all three channels of each pixel; `enhanced_demosaiced` and
 `linear_demosaiced` are of the noise-free mosaic, interpolated as the pictures are, with the errors of that. `lit`: the
 well-lit render or photograph, for all methods. Of imported photographs clean long exposures take the place of the
-noise-free ones, and what was not given is missing.
+noise-free ones, and references that were not given are missing.
 """
 
 from typing import Any, Protocol
@@ -50,7 +50,7 @@ def enhanced_dark(capture: Capture, i: int, enhancement: dict[str, Any]) -> Imag
 
 
 class Made(Protocol):
-    """What came of a method: a run, or the reconstruction that becomes one."""
+    """The outcome of a method: a run, or the reconstruction that becomes one."""
 
     @property
     def space(self) -> str:
@@ -101,7 +101,9 @@ def missing_references(run: Run, capture: Capture, lit: Source) -> dict[str, str
 
 
 def references(run: Run, capture: Capture, lit: Source, i: int) -> dict[str, Image]:
-    """Every reference of view `i` for this run, by name, float32 [h,w,3]; the one that isolates noise comes first."""
+    """Every reference of view `i` for this run, by name, float32 [h,w,3]; the reference that isolates noise comes
+    first.
+    """
     missing, found = missing_references(run, capture, lit), dict[str, Image]()
     for suffix in ("", "_demosaiced") if capture.demosaiced else ("",):
         if run.enhancement is not None and "enhanced" not in missing:

@@ -1,9 +1,9 @@
-"""A run on disk: what one method produced from one capture.
+"""A run on disk: the results of one method from one capture.
 
 run.json              method, resolved configuration, capture, cameras, seconds; written last
 point_cloud.ply       the scene (of a method that fits Gaussians: the standard 3DGS layout)
 scene/                or of other kinds (a radiance field: scene/field.safetensors)
-cameras.json          the training cameras in its frame, as viewers of 3DGS read them
+cameras.json          the training cameras in its frame, in the format of 3DGS viewers
 viewers/              the scene in further formats, on request
 enhancer.safetensors  weights of the network that made the pictures bright, of methods with one
 events.jsonl          losses, one line per step
@@ -41,7 +41,7 @@ EVENTS = "events.jsonl"
 CHECKPOINTS = (
     "checkpoint.safetensors", "checkpoint.denoiser.safetensors", "checkpoint.enhancer.safetensors", "checkpoints",
 )  # fmt: skip
-LARGEST = 1e12  # of what is rendered: the sum of its squares over a picture stays within 32 bits
+LARGEST = 1e12  # of rendered values: the sum of their squares over a picture stays within 32 bits
 SCENE = "point_cloud.ply"
 CAMERAS, VIEWERS = "cameras.json", "viewers"
 RESULT = (
@@ -81,7 +81,7 @@ class Run:
 
     @property
     def space(self) -> str:
-        """What its colours are, as `Reconstruction.space`."""
+        """The meaning of its colours, as `Reconstruction.space`."""
         return str(self.record["space"])
 
     @property
@@ -97,7 +97,9 @@ class Run:
 
     @property
     def peak_bytes(self) -> int:
-        """The most memory that its reconstruction held: of a program its own, not that of the process that waited."""
+        """The most memory that its reconstruction held: of a program its own, not the memory of the process that
+        waited.
+        """
         return int(self.record.get("peak_bytes", self.record["stage"]["peak_bytes"]))
 
     @property
@@ -141,7 +143,7 @@ class Run:
         """The capture it was made from, and the set from which that was made.
 
         Raises:
-            ValueError: If they are no longer where they were, or they or the run itself no longer what they were.
+            ValueError: If they have moved, or they or the run itself have changed.
         """
         capture = self.capture()
         source = capture.source(console)
@@ -152,7 +154,7 @@ class Run:
         """The capture it was made from.
 
         Raises:
-            ValueError: If it is no longer where it was, or it or the run itself no longer what it was.
+            ValueError: If it has moved, or it or the run itself has changed.
         """
         refuse_exchanged(self.path)
         path = place_of(self.path, self.record["capture"])
@@ -200,7 +202,7 @@ def _channels(path: Path, *names: str) -> list[np.ndarray]:
     """Channels of a picture that a method rendered.
 
     Raises:
-        ValueError: If it lacks one, or one holds what no method renders.
+        ValueError: If it lacks one, or one holds values that no method renders.
     """
     channels, _ = read_exr(path)
     for name in names:
@@ -208,7 +210,7 @@ def _channels(path: Path, *names: str) -> list[np.ndarray]:
             raise ValueError(f"{path} has no channel {name}: reconstruct again")
         if wrong := int(np.count_nonzero(~(np.abs(channels[name]) <= LARGEST))):
             raise ValueError(f"{path} is damaged: {wrong} pixels of its channel {name} are not finite or beyond "
-                             f"{LARGEST:g}; put back what was there, or reconstruct again")  # fmt: skip
+                             f"{LARGEST:g}; put back the original, or reconstruct again")  # fmt: skip
     return [channels[name] for name in names]
 
 

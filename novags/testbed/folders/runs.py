@@ -9,11 +9,11 @@ from novags.testbed.folders.run import RECORD, Run, open_run
 from novags.testbed.ledger.contents import UNFINISHED, read_json
 from sensor_model.files.door import resolved
 
-EXPERIMENT = "experiment.json"  # in the folder of a study of one place, once its runs are done: what it was asked for
+EXPERIMENT = "experiment.json"  # in the folder of a study of one place, once its runs are done: the request
 STUDY = "study.json"  # in the folder of a study of many places
 TABLE = "results.json"  # in both
 ROWS: Any = {"axes": dict, "rows": [{"state": str, "folder": str}]}  # of the table
-REPORT, REPORT_FILES = "report.html", "report.files"  # and what the pages of many pictures have beside them
+REPORT, REPORT_FILES = "report.html", "report.files"  # and the folders beside pages of many pictures
 
 
 def runs_in(folders: Sequence[Path]) -> dict[str, Run]:

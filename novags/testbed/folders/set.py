@@ -1,4 +1,4 @@
-"""What a capture photographs: a multiview set, rendered or real, optionally scaled down.
+"""The subject of a capture: a multiview set, rendered or real, optionally scaled down.
 
 Radiance is float32 linear RGB [h,w,3]; lit images are float32 sRGB-encoded [h,w,3], 0..1.
 """
@@ -27,7 +27,7 @@ from simscenes.sets.pictures.image_file import WITH_ALPHA, has_alpha
 from simscenes.sets.readers.llff import POSES
 from simscenes.sets.readers.nerf_synthetic import PARTS
 
-# What a set is read from besides its images: our own record and truth, and the cameras in every supported form.
+# Files of a set besides its images: our own record and truth, and the cameras in every supported form.
 MODEL = tuple(f"{part}.{suffix}" for part in ("cameras", "images", "points3D") for suffix in ("bin", "txt"))
 READ_FROM = ("set.json", "capture.json", "transforms.json", *PARTS, POSES, "nb-info.json", "sparse", "sparse/0",
              "colmap_sparse", "colmap/sparse", "gt", *MODEL)  # fmt: skip
@@ -35,7 +35,7 @@ READ_FROM = ("set.json", "capture.json", "transforms.json", *PARTS, POSES, "nb-i
 EXPOSURES = 1e30  # more would make NaN of a black pixel in float32
 NOISE = 0.01  # of a photograph's bright light: values further below 0 are not noise
 
-# What photographs need and no rendered set, beside `READERS`.
+# Modules that photographs need and no rendered set, beside `READERS`.
 PHOTOGRAPHS: Registry[Callable[..., Any]] = Registry({
     "linear files": "novags.testbed.folders.photographs.linear:load_linear_set",
     "noise": "novags.methods.noise_estimate:noise_from",
@@ -45,7 +45,7 @@ PHOTOGRAPHS: Registry[Callable[..., Any]] = Registry({
 def for_photographs() -> tuple[str, ...]:
     """The modules that photographs need and no rendered set.
 
-    What is made from photographs depends on them; whoever corrects them keeps all results of rendered sets.
+    Results made from photographs depend on them; whoever corrects them keeps all results of rendered sets.
     """
     tables: tuple[Registry[Any], ...] = (PHOTOGRAPHS, READERS)
     return tuple(module for table in tables for name in table if (module := table.module_of(name)))
@@ -59,12 +59,12 @@ class Source:
     rig: Rig  # of the scaled images
     console: Console  # where notes on single views go
     lit_known: bool = True  # False: the views themselves are dark, and nothing shows them in good light
-    called: str = ""  # what messages call it; "" is the set and its folder
-    reads: Reads = field(default_factory=dict, repr=False, compare=False)  # its JSON files, as they were opened
+    called: str = ""  # its name in messages; "" is the set and its folder
+    reads: Reads = field(default_factory=dict, repr=False, compare=False)  # its JSON files, as opened
 
     @property
     def title(self) -> str:
-        """What messages call it."""
+        """Its name in messages."""
         return self.called or f"the set {self.views.path}"
 
     @property
@@ -74,12 +74,12 @@ class Source:
 
     @property
     def modules(self) -> tuple[str, ...]:
-        """What is made from it depends on these modules beside those that every set needs."""
+        """Results made from it depend on these modules, beside the modules that every set needs."""
         return for_photographs() if self.views.kind == "photographs" else ()
 
     @property
     def filters(self) -> np.ndarray | None:
-        """Linear sRGB -> what the set's own colour filters see, [3,3]; None for a set in linear sRGB."""
+        """Linear sRGB -> the signal behind the set's own colour filters, [3,3]; None for a set in linear sRGB."""
         matrix = self.views.meta.get("camera_matrix")
         return None if matrix is None else np.array(matrix, np.float64)
 
@@ -89,7 +89,7 @@ class Source:
         if self.filters is None:
             return None
         red, green, blue = self.filters.sum(1)
-        # A real filter passes a tenth to ten times what green does; by far beyond it float32 would overflow.
+        # A real filter passes a tenth to ten times as much as green; by far beyond it float32 would overflow.
         if not (min(red, green, blue) > 0 and all(1e-3 <= other / green <= 1e3 for other in (red, blue))):
             raise ValueError(f"the camera_matrix of {self.views.path} must have rows with sums > 0, within a factor of "
                              f"1000 of green's, got {red:g}, {green:g}, {blue:g}: put the original back")  # fmt: skip
@@ -169,12 +169,12 @@ class Source:
 
     @cached_property
     def content(self) -> str:
-        """What `digest` gives of the set as it was when it was opened; errors as there."""
+        """The result of `digest` when the set was opened; errors as there."""
         with read_once(self.reads):
             return self.digest()
 
     def digest(self) -> str:
-        """Hash of everything that is read from the set, wherever its files are, as it is now."""
+        """Present hash of everything that is read from the set, wherever its files are."""
         images = {f"images/{name}": file for name, file in zip(self.views.names, self.views.files, strict=True)}
         return folder_digest(self.views.path, READ_FROM, beside=images)
 
@@ -182,7 +182,7 @@ class Source:
         """Say that a photograph is before white, where it can be transparent."""
         file = self.views.files[i]
         if self.views.kind == "photographs" and file.suffix.lower() in WITH_ALPHA and has_alpha(file):
-            self.console.warn(f"pictures of {self.views.path} have an alpha channel: what is behind transparent pixels "
+            self.console.warn(f"pictures of {self.views.path} have an alpha channel: the background of their pixels "
                               "counts as white")  # fmt: skip
 
     def _fit(self, image: np.ndarray) -> np.ndarray:
@@ -202,8 +202,8 @@ def open_source(path: Path, console: Console, max_size: int | None = None) -> So
         max_size: Longest image side in pixels; larger images are scaled down to it. None keeps them.
 
     Raises:
-        ValueError: If the folder holds no posed images, a file of a set or a capture is not as it was written, or their
-            shortest side is, or becomes, too short for scores.
+        ValueError: If the folder holds no posed images, a file of a set or a capture has changed since it was written,
+            or their shortest side is, or becomes, too short for scores.
     """
     enter(path)
     reads: Reads = {}
@@ -215,7 +215,7 @@ def open_source(path: Path, console: Console, max_size: int | None = None) -> So
 
 
 def source_of(views: MultiviewSet, console: Console, max_size: int | None = None) -> Source:
-    """What `open_source` gives of the views of a folder that was opened already; arguments and errors as there."""
+    """The result of `open_source` for the views of a folder that was opened already; arguments and errors as there."""
     path = views.path
     if views.renamed and views.kind == "photographs" and not (path / "capture.json").is_file():
         name, file = next(iter(views.renamed.items()))

@@ -1,1 +1,1 @@
-"""Dark photographs from elsewhere: what their files hold, and the lit or clean pictures of the same views."""
+"""Dark photographs from elsewhere: the content of their files, and the lit or clean pictures of the same views."""

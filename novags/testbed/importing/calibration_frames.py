@@ -2,14 +2,14 @@
 
 FOLDER/dark/NAME/*   each NAME is one stack: two or more dark frames, all of one exposure time
 FOLDER/flat/NAME/*   the same in front of a uniform light
-FOLDER/frames.toml   optional: what the files themselves do not state
+FOLDER/frames.toml   optional: values that the files themselves do not state
 
 Frames are camera raw files, 16-bit PNG or TIFF of one channel, or .npy of [h,w] or [n,h,w]. Exposure times come from
 frames.toml, else from EXIF. Every line of frames.toml is optional, except `bits` if no raw file states it:
 
 bits = 12                    # of the ADC
 cfa = "RGGB"                 # colour filter array; raw files state it, other files count as monochrome
-[camera]                     # what frames cannot show, or what is known better: fields of a camera file
+[camera]                     # values that frames cannot show, or better ones: fields of a camera file
 eta = 0.6
 [stacks."flat/middle"]
 time = 0.01                  # s
@@ -49,7 +49,7 @@ class Frames:
     flat: list[Stack]
     cfa: str  # "none": monochrome
     bits: int
-    camera: dict[str, Any]  # fields that override what is measured
+    camera: dict[str, Any]  # fields that override measured ones
 
 
 @dataclass(frozen=True)
@@ -160,7 +160,7 @@ def _stack(path: Path, files: list[_File], note: dict[str, float]) -> Stack:
 
 
 def _agreed(what: str, given: Any, found: list[Any], where: Path, default: Any) -> Any:
-    """What frames.toml gives, else what all files state, else the default."""
+    """The value in frames.toml, else the value that all files state, else the default."""
     told = {value for value in found if value is not None}
     if given is None and len(told) > 1:
         raise ValueError(f"the files in {where} differ in {what}: {', '.join(map(str, sorted(told)))}")

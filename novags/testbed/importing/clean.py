@@ -20,8 +20,8 @@ class Match:
     """How long exposures relate to the dark ones.
 
     Attributes:
-        gain: Dark light over that of the long exposures: least squares over all views and channels.
-        white_share: Of the values of the long exposures, those at white: too dark where they are the reference.
+        gain: Dark light over the light of the long exposures: least squares over all views and channels.
+        white_share: Share of the values at white in the long exposures: too dark where they are the reference.
     """
 
     gain: float
@@ -60,7 +60,8 @@ def match_clean(
 
 
 def tone_gain(dark: Dark, darkroom: Darkroom) -> float:
-    """Light of the pictures, decoded from sRGB, over that of the raw files beside them; 1 if they are the raw files.
+    """Light of the pictures, decoded from sRGB, over the light of the raw files beside them; 1 if they are the raw
+    files.
 
     Of the brightest parts of a few views, where 8-bit pictures cut off little noise at black.
     """

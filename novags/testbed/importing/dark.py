@@ -44,7 +44,7 @@ class Dark:
         return self.source.views.files
 
     def digest(self) -> str:
-        """Hash of everything that is read of it, wherever the files are."""
+        """Hash of all its files that are read, wherever they are."""
         views = self.source.views
         pictures = {f"images/{name}": file for name, file in zip(views.names, self.files, strict=True)}
         raws = {f"raw/{name}": file for name, file in zip(views.names, self.raws, strict=False)}

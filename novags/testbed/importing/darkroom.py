@@ -17,12 +17,12 @@ from simscenes.sets.multiview import MultiviewSet
 
 @dataclass(frozen=True, kw_only=True)
 class Darkroom:
-    """What the dark pictures and their lit or clean twins go through alike.
+    """The steps that the dark pictures and their lit or clean twins go through alike.
 
     Attributes:
         views: The dark set: its cameras and lenses.
-        rig: The cameras of the capture, of smaller pictures where those are scaled down.
-        codes: What 16-bit codes mean.
+        rig: The cameras of the capture, scaled with the pictures.
+        codes: The meaning of 16-bit codes.
         camera: Of raw files; None without any.
     """
 
@@ -33,7 +33,7 @@ class Darkroom:
 
     @property
     def resampled(self) -> str | None:
-        """Why pixels are no longer those of the files, so that raw frames and noise of single pixels mean nothing."""
+        """Why pixels differ from the files, so that raw frames and noise of single pixels mean nothing."""
         if self.views.lenses is not None:
             return "the distortion of the lens was undone"
         return "the pictures were scaled down" if self._scaled else None
@@ -43,7 +43,7 @@ class Darkroom:
         return (self.rig.width, self.rig.height) != (self.views.rig.width, self.views.rig.height)
 
     def check(self, file: Path, *, lit: bool = False) -> tuple[Depth, bool]:
-        """What the file holds, and whether it has to be brought to the size of its view (well-lit pictures alone).
+        """The content of the file, and whether it has to be brought to the size of its view (well-lit pictures alone).
 
         Raises:
             ValueError: If it cannot be read, has another size than its camera or transparent pixels, or, being raw and
@@ -73,7 +73,7 @@ class Darkroom:
         return self._decoded(self._cut(read_stored(file), file), i)
 
     def srgb8(self, file: Path, i: int) -> np.ndarray:
-        """The 8-bit sRGB picture of view `i`, uint8 [h,w,3]: as stored, as far as it is and nothing is scaled.
+        """The 8-bit sRGB picture of view `i`, uint8 [h,w,3]: as stored, if there is one and nothing is scaled.
 
         Raises:
             ValueError: As `linear`.

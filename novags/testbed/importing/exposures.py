@@ -6,10 +6,10 @@ from pathlib import Path
 from novags.testbed.folders.photographs.raw_files import is_raw, read_exposure
 from simscenes.sets.pictures.image_file import header
 
-ALIKE = 0.02  # relative: cameras round what they state
+ALIKE = 0.02  # relative: cameras round their numbers
 STATED = ("exposure time", "s"), ("ISO speed", ""), ("f-number", "")
 EXIF, TAGS = 0x8769, (0x829A, 0x8827, 0x829D)  # ExposureTime, ISOSpeedRatings (PhotographicSensitivity), FNumber
-OF_VIEWS = "all views must be exposed alike. Import those that are, or give --time SECONDS, which counts for all"
+OF_VIEWS = "all views must be exposed alike. Import photographs that are, or give --time SECONDS, which counts for all"
 OF_CLEAN = ("all clean exposures must be exposed alike, because one factor brings them to the light of the dark "
             "pictures: give some that are, or leave out --clean")  # fmt: skip
 
@@ -19,7 +19,7 @@ def check_exposed_alike(files: Sequence[Path], rule: str = OF_VIEWS) -> None:
 
     Args:
         files: The pictures.
-        rule: What they break, for the message.
+        rule: The rule they break, for the message.
 
     Raises:
         ValueError: If two of them state different exposure times, ISO speeds or f-numbers.
@@ -50,7 +50,7 @@ def stated_of(file: Path) -> tuple[float | None, float | None, float | None]:
 
 
 def _number(value: object) -> float | None:
-    """What a tag holds, where that is a positive number: some cameras write 0/0, or a list, for what is not known."""
+    """The value of a tag, if it is a positive number: some cameras write 0/0, or a list, for unknown values."""
     try:
         number = float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError, ZeroDivisionError):

@@ -20,7 +20,7 @@ Kind = Literal["8-bit", "16-bit", "EXR"]
 
 @dataclass(frozen=True)
 class Picture:
-    """What a file shows.
+    """The picture in a file.
 
     Attributes:
         values: As stored, float32 [h,w,3]: codes over the largest code, or the numbers of an EXR file.

@@ -1,4 +1,4 @@
-"""A program of somebody else: run without a shell, with its time, its memory and what it said when it failed."""
+"""A program of somebody else: run without a shell, with its time, its memory and its output when it failed."""
 
 import ctypes
 import os
@@ -27,7 +27,7 @@ _LIBC = ctypes.CDLL(None) if sys.platform == "linux" else None  # loaded before 
 
 @dataclass(frozen=True)
 class Spent:
-    """What a program took.
+    """Time and memory of a program.
 
     Attributes:
         seconds: Wall time.
@@ -40,7 +40,7 @@ class Spent:
 
 @cache
 def output_of(words: tuple[str, ...], folder: Path) -> str:
-    """What a program prints that ends at once, asked once.
+    """The output of a program that ends at once, asked once.
 
     Raises:
         ValueError: If it cannot be started, fails, takes longer than `SHORT` s, or prints nothing or more than `KEPT`
@@ -61,13 +61,13 @@ def output_of(words: tuple[str, ...], folder: Path) -> str:
 
 
 def run_program(words: Sequence[str], folder: Path, *, timeout: float | None, tick: Callable[[float], None]) -> Spent:
-    """Run a program to its end. What it prints goes to standard error of this process: in a study, to the log.
+    """Run a program to its end. Its output goes to standard error of this process: in a study, to the log.
 
     It gets nothing on standard input. It ends, with its children, when this process is interrupted or killed, or the
     time is up.
 
     Args:
-        words: The program and its arguments, as they are: no shell looks at them.
+        words: The program and its arguments, verbatim: no shell looks at them.
         folder: Where it runs.
         timeout: Seconds after which it is ended; None: never.
         tick: Told the seconds so far, now and then.
@@ -108,7 +108,9 @@ def _end_with_parent() -> None:
 
 
 def _end(process: "subprocess.Popen[bytes]") -> None:
-    """End a program and all that it has started; without effect on one that has ended, but for what it left behind."""
+    """End a program and all processes it has started; without effect on one that has ended, but for processes it left
+    behind.
+    """
     for number in (signal.SIGTERM, signal.SIGKILL):
         with suppress(OSError):  # nobody is left
             os.killpg(process.pid, number)
@@ -127,7 +129,7 @@ def _how(code: int) -> str:
 
 
 class _Output:
-    """Passes on what a program prints, and keeps the end of it."""
+    """Passes on the output of a program, and keeps the end of it."""
 
     def __init__(self, stream: IO[bytes]) -> None:
         self.kept = b""

@@ -1,4 +1,4 @@
-"""The camera that a set of raw files was taken with, from what they state and, if known, its model."""
+"""The camera that a set of raw files was taken with, from their metadata and, if known, its model."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,7 +18,7 @@ class RawCamera:
     """How the raw files of an import become linear pictures.
 
     Attributes:
-        format: What the first file states; its white balance and colour matrix count for all.
+        format: The metadata of the first file; its white balance and colour matrix count for all.
         sensor: Levels, filters and balance as the development uses them; more than that only if `known`.
         known: Whether `sensor` is a camera model that was given.
         demosaic: How the colour filter array is interpolated.

@@ -5,8 +5,8 @@ from typing import Literal
 
 from simscenes.sets.multiview import MultiviewSet
 
-# "own": those that the folder or the data set says, every 8th where it says nothing; "every8": every 8th in any case,
-# in the order of the names, from 0, as the NOVA-GS paper does for all data sets.
+# "own": as the folder or the data set says, every 8th where it says nothing; "every8": every 8th in any case, in the
+# order of the names, from 0, as the NOVA-GS paper does for all data sets.
 Split = Literal["own", "every8"]
 
 

@@ -21,7 +21,7 @@ Curve = Literal["linear", "srgb"]
 
 @dataclass(frozen=True, kw_only=True)
 class Codes16:
-    """What the codes of 16-bit files mean."""
+    """The meaning of the codes of 16-bit files."""
 
     black: float = 0.0  # code of no light
     white: float = 65535.0  # code of white
@@ -70,7 +70,7 @@ def is_lossy(file: Path) -> bool:
 
 
 def chunks_of(file: Path) -> set[bytes]:
-    """Names of the chunks of a WebP file; those of its frames, where it is a film."""
+    """Names of the chunks of a WebP file; of its frames' chunks, where it is a film."""
     content, at, found = read_bytes(file), 12, set[bytes]()
     while at + 8 <= len(content):
         name, length = content[at : at + 4], int.from_bytes(content[at + 4 : at + 8], "little")
@@ -80,10 +80,10 @@ def chunks_of(file: Path) -> set[bytes]:
 
 
 def refuse_transparent(file: Path) -> None:
-    """Raise ValueError if pixels of a picture are transparent: what light is there is unknown.
+    """Raise ValueError if pixels of a picture are transparent: the light there is unknown.
 
-    White, which is taken to be behind pictures in good light, would be a lamp in a dark one, and the colour that the
-    file stores there is whatever a program left. Of 16-bit alpha the upper 8 bits count.
+    White, which is taken to be behind pictures in good light, would be a lamp in a dark one, and the file may store any
+    colour there. Of 16-bit alpha the upper 8 bits count.
     """
     if not has_alpha(file):
         return
@@ -95,7 +95,7 @@ def refuse_transparent(file: Path) -> None:
 
 
 def depth_of(file: Path) -> Depth:
-    """What the file holds.
+    """The content of the file.
 
     Raises:
         ValueError: As `read_stored`.

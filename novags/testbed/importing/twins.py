@@ -42,7 +42,8 @@ class Twins:
 
 
 def pictures_in(folder: Path) -> dict[str, Path]:
-    """The pictures of a folder by the names of their views: those that its cameras list, else those in it or images/.
+    """The pictures of a folder by the names of their views: the pictures that its cameras list, else all in it or in
+    images/.
 
     Raises:
         ValueError: If the folder has no pictures, or its camera file is damaged.
@@ -55,7 +56,7 @@ def pictures_in(folder: Path) -> dict[str, Path]:
 
 
 def plain_pictures(folder: Path) -> list[Path]:
-    """The pictures in images/ of a folder, else those in it, in the order of their names, whatever cameras list.
+    """The pictures in images/ of a folder, else directly in it, in the order of their names; cameras have no say.
 
     Hidden files are left out: an archive made on a Mac has one, ._NAME, for every picture.
 
@@ -78,8 +79,8 @@ def twins_of(dark: MultiviewSet, folder: Path, option: str, console: Console) ->
         console: Where notes go.
 
     Raises:
-        ValueError: If some or all views have none, it is not clear which is whose, or a file of a set or a capture is
-            not as it was written.
+        ValueError: If some or all views have none, it is not clear which is whose, or a file of a set or a capture has
+            changed since it was written.
     """
     if not folder.is_dir():
         raise ValueError(f"{option}: no such folder: {folder}")
@@ -94,7 +95,7 @@ def twins_of(dark: MultiviewSet, folder: Path, option: str, console: Console) ->
     if len(missing) < len(dark):
         raise ValueError(
             f"{option} {folder} has no picture of {len(missing)} of {len(dark)} views ({some(missing, 4)}): names must "
-            "be those of the dark pictures"
+            "equal the names of the dark pictures"
         )
     if len(found) != len(dark):
         raise ValueError(
@@ -126,7 +127,7 @@ def _numbers_counted(name: str) -> list[str | int]:
 def twins_by_order(dark: MultiviewSet, folder: Path) -> Twins:
     """The picture in `folder` of each dark view where a data set pairs them by the order of their names alone.
 
-    All dark pictures count, those that have no camera too: without them the order would shift.
+    All dark pictures count, also without a camera: otherwise the order would shift.
 
     Args:
         dark: The dark set.

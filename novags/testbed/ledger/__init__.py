@@ -1,1 +1,3 @@
-"""What was made from what: keys of code, configuration and inputs; what is kept, what is made again, and why."""
+"""The origin of results: keys of code, configuration and inputs; which results are kept, which are made again, and
+why.
+"""

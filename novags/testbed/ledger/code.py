@@ -1,4 +1,4 @@
-"""The code of a result: what its stage and its rows reach, with the data files beside it.
+"""The code of a result: definitions that its stage and its rows reach, with the data files beside it.
 
 The unit is a definition at the top of a module: a function, a class, a constant (`reach.py` says how they are found).
 The rows of a `Registry` are not followed: a result depends on the rows that it uses, not on all that could have been.
@@ -18,10 +18,10 @@ from sensor_model.files.python import ROOT
 
 @dataclass(frozen=True)
 class Code:
-    """What makes a result.
+    """The code that makes a result.
 
     Attributes:
-        files: Hash of what counts in every file (of data: of the content), by its path from the root.
+        files: Hash of the counting definitions in every file (of data: of the content), by its path from the root.
         texts: Hash of the whole content of the same files.
         roots: The modules that reach them.
         outside: Version of every package and file from outside among the roots, by its name.
@@ -38,7 +38,7 @@ class Code:
         return hashed("\n".join(f"{name} {found}" for name, found in sorted(self.files.items())).encode())
 
     def along_with(self, modules: Iterable[str]) -> "Code":
-        """This code, and what these modules reach."""
+        """This code, and the definitions that these modules reach."""
         return code_of(*self.roots, *modules)
 
 
@@ -66,14 +66,14 @@ def _code_of(roots: frozenset[str]) -> Code:
         files, texts = files | beside, texts | beside
     sources().remember()
     origins = {origin.name: origin.version for root in roots if (origin := origin_of(root)) is not None}
-    for name, version in origins.items():  # what compiled code of a package does, its version says
+    for name, version in origins.items():  # the version of a package stands for its compiled code
         files.setdefault(name, version)
         texts.setdefault(name, version)
     return Code(dict(sorted(files.items())), dict(sorted(texts.items())), tuple(sorted(roots)), origins)
 
 
 def _tokens(module: str, counted: Counted) -> str:
-    """Hash of what counts in a module."""
+    """Hash of the counting definitions in a module."""
     source = source_of(module)
     definitions = [source.definitions[number].tokens for number in sorted(counted.definitions)]
     imports = [f"{name} {':'.join(source.imports[name])}" for name in sorted(counted.imports)]
@@ -90,7 +90,7 @@ def _name(path: Path, module: str = "") -> str:
 
 @cache
 def version() -> str:
-    """Hash of all code that results depend on, as it is on this machine."""
+    """Hash of all code that results depend on, from this machine's files."""
     names = (".".join(path.relative_to(ROOT).with_suffix("").parts) for package in PACKAGES
              for path in Path(ROOT, package).rglob("*.py"))  # fmt: skip
     return _code_of(frozenset(name.removesuffix(".__init__") for name in names if not is_outside(name))).key
@@ -106,7 +106,7 @@ def modules_of(config: Any) -> set[str]:
 @cache
 def _beside(path: Path) -> tuple[Path, ...]:
     """The data in the folder of a file of code."""
-    if not path.is_relative_to(ROOT):  # what lies beside a file of somebody else is not ours to judge
+    if not path.is_relative_to(ROOT):  # files beside somebody else's file are not ours to judge
         return ()
     others = (file for file in path.parent.iterdir() if file.suffix not in (".py", ".pyi") and file.is_file())
     return tuple(file for file in others if not file.name.startswith("."))

@@ -1,4 +1,4 @@
-"""What things hold: values as canonical JSON, and hashes of values, files and folders."""
+"""Content: values as canonical JSON, and hashes of values, files and folders."""
 
 import hashlib
 import json
@@ -22,7 +22,7 @@ from sensor_model.files.records import read_record, read_whole
 UNFINISHED = "unfinished.json"  # while a stage is under way: part of nothing
 # The way in which files are hashed here: another version of this file may do it in another one.
 HOW = hashlib.blake2b(Path(__file__).read_bytes(), digest_size=8).hexdigest()
-# Entries of a record that say what it cost, not what it is.
+# Entries of a record that state the result's cost, not its content.
 VOLATILE = ("stage", "place", "seconds", "predicted_seconds", "peak_bytes", "versions")
 
 
@@ -65,7 +65,7 @@ def read_json(path: Path, shape: Any = dict) -> dict[str, Any]:
 
 
 def digest(value: Any) -> str:
-    """Hash of a value's canonical JSON: equal configurations hash equally whatever their key order."""
+    """Hash of a value's canonical JSON: equal configurations hash equally in any order of keys."""
     text = json.dumps(jsonable(value), sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
@@ -107,7 +107,7 @@ def stage_key(stage: Mapping[str, Any]) -> str:
 
 
 def checksum(path: Path) -> str:
-    """What records hold of a file: a hash of its content, without costs and versions where it is a record."""
+    """The entry of a file in records: a hash of its content, without costs and versions where it is a record."""
     return hashed(remembered(path, read_digest, HOW))
 
 
@@ -120,13 +120,13 @@ def not_as_written(folder: Path, files: Mapping[str, str], known_by: Callable[[P
         known_by: Gives the checksum of a file.
 
     Raises:
-        ValueError: If one lies behind a link that leads out of what was given.
+        ValueError: If one lies behind a link that leads out of the given folders.
     """
     return [name for name, known in files.items() if not _holds(folder / name, known, known_by)]
 
 
 def in_words(wrong: Sequence[str]) -> str:
-    """That these files are not as they were written."""
+    """That these files have changed since they were written."""
     return f"{listed([brief(name, 100) for name in wrong])} not as written (checksum)"
 
 
@@ -136,7 +136,7 @@ def refuse_damage(folder: Path, stage: Mapping[str, Any], remedy: str, names: Se
     Args:
         folder: Of the stage.
         stage: The entry "stage" of its record; before there were checksums, it held none.
-        remedy: What the user can do beside putting back what was there.
+        remedy: What the user can do beside putting back the original.
         names: The files that are to be looked at; None: all.
 
     Raises:
@@ -149,7 +149,7 @@ def refuse_damage(folder: Path, stage: Mapping[str, Any], remedy: str, names: Se
     if not wrong and "code" in stage and stage.get("key") != stage_key(stage):
         wrong = ["the entry stage of its record"]
     if wrong:
-        raise ValueError(f"{folder}: {in_words(wrong)}; put back what was there, or {remedy}")
+        raise ValueError(f"{folder}: {in_words(wrong)}; put back the original, or {remedy}")
 
 
 def _holds(path: Path, known: str, known_by: Callable[[Path], str]) -> bool:
@@ -163,7 +163,7 @@ def _holds(path: Path, known: str, known_by: Callable[[Path], str]) -> bool:
 
 
 def read_digest(path: Path) -> bytes:
-    """The whole digest of a file, from the disk whatever was seen before."""
+    """The whole digest of a file, from the disk, without any cache."""
     if path.suffix == ".json":
         with suppress(ValueError):  # not JSON: its bytes count
             found = read_whole(path)
@@ -177,12 +177,14 @@ def read_digest(path: Path) -> bytes:
 
 
 def record_digest(record: Mapping[str, Any]) -> bytes:
-    """The whole digest of the record of a stage: of what it says, not of what it cost, nor where its inputs lie."""
+    """The whole digest of the record of a stage: of the result's description, not of its cost, nor where its inputs
+    lie.
+    """
     return digest(_lasting(jsonable(record))).encode()
 
 
 def _lasting(value: Any) -> Any:
-    """The value without what it cost and where it was made from, at any depth."""
+    """The value without its cost and the places of its inputs, at any depth."""
     if isinstance(value, dict):
         return {name: _lasting(part) for name, part in value.items() if name not in VOLATILE}
     return [_lasting(part) for part in value] if isinstance(value, list) else value

@@ -1,4 +1,4 @@
-"""What differs between a finished result and what is asked for now, in a few words."""
+"""Differences between a finished result and the present request, in a few words."""
 
 import json
 from collections.abc import Mapping
@@ -28,7 +28,7 @@ def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
 
 
 def from_request(stage: Mapping[str, Any], config: Mapping[str, Any], inputs: Mapping[str, str]) -> list[str]:
-    """What a finished result differs in from what is asked for.
+    """How a finished result differs from the request.
 
     Args:
         stage: The entry "stage" of its record.

@@ -1,4 +1,4 @@
-"""Dry runs: a command says what it would do, and does nothing."""
+"""Dry runs: a command names its steps, and does nothing."""
 
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -11,7 +11,7 @@ NOT_DONE = "(dry run: nothing is done)"
 
 
 class Planned(Exception):
-    """In a dry run: raised in place of the work, once it was said what would be done.
+    """In a dry run: raised in place of the work, once the steps were named.
 
     Args:
         kept: Whether nothing would be.
@@ -24,7 +24,7 @@ class Planned(Exception):
 
 @contextmanager
 def dry_run(asked: bool = True) -> Iterator[list[bool]]:
-    """Where asked, a stage says what it would do, writes nothing, and ends the block; and so does `planned`.
+    """Where asked, a stage names its steps, writes nothing, and ends the block; and so does `planned`.
 
     Yields:
         A list, to which the stage adds whether its result would be kept.
@@ -45,7 +45,7 @@ def planned(console: Console, name: str, files: Iterable[Path]) -> None:
 
     Args:
         console: Where it is said.
-        name: What makes the files.
+        name: The maker of the files.
         files: The files. Measurements, for example, are told by their own command, which counts them.
 
     Raises:

@@ -36,7 +36,7 @@ def remembered(path: Path, read: Callable[[Path], bytes], how: str) -> bytes:
     Raises:
         OSError: If there is no such file, or it cannot be read.
     """
-    known = read_already(path)  # whose bytes are hashed: the stamp has to be theirs, whatever lies there by now
+    known = read_already(path)  # whose bytes are hashed: the stamp has to be theirs, though another file may lie there
     times = stamp_of(path) if known is None else known.stamp
     stamp = (*times, path.suffix)  # which decides how it is read
     if os.environ.get(VERIFY):
@@ -67,7 +67,7 @@ class _Base:
         with suppress(OSError, sqlite3.Error):
             file = own_folder(cache_folder("hashes")) / name
             self._open = sqlite3.connect(file, timeout=2, isolation_level=None, check_same_thread=False)
-            self._open.execute("PRAGMA synchronous = OFF")  # what a crash of the system loses is computed again
+            self._open.execute("PRAGMA synchronous = OFF")  # hashes lost in a crash of the system are computed again
             self._open.execute("CREATE TABLE IF NOT EXISTS files (stamp TEXT PRIMARY KEY, hash BLOB, seal BLOB)")
             if self._open.execute("SELECT count(*) FROM files").fetchone()[0] > MOST:
                 self._open.execute("DELETE FROM files")

@@ -24,7 +24,7 @@ class Made:
     texts: dict[str, str] = field(default_factory=dict)
 
     def changed_in(self, code: Code) -> str:
-        """What of it is different now, in words; "" if nothing is."""
+        """Its changed parts, in words; "" if there are none."""
         if not self.files:
             return "its code is not known"
         names = {*self.files, *code.files}
@@ -32,9 +32,9 @@ class Made:
         return f"{_named(changed)} changed since {_day(self.date)}" if changed else ""
 
     def kept_though(self, code: Code) -> str:
-        """What to add to "kept" where texts changed alone (comments, docstrings, messages), or what it does not use."""
+        """What to add to "kept" where texts changed alone (comments, docstrings, messages), or code it does not use."""
         changed = sorted(name for name in self.texts if self.texts[name] != code.texts.get(name))
-        said = f": only texts, or what it does not use, changed in {_named(changed).rpartition(' ')[0]}"
+        said = f": only texts, or code it does not use, changed in {_named(changed).rpartition(' ')[0]}"
         return said if changed else ""
 
 

@@ -1,7 +1,7 @@
-"""What a store holds, and what of it nobody refers to any more.
+"""The entries of a store, and which of them nobody refers to any more.
 
 Keys depend on code: after a change the entries of before stay, and no study asks for them. A study refers to its runs,
-and an entry to those that it was made from.
+and an entry to the entries that it was made from.
 """
 
 from collections.abc import Iterable, Iterator
@@ -24,7 +24,7 @@ class Entry:
         kind: One of `KINDS`.
         folder: Where it is.
         size: Bytes of all its files.
-        needs: Ends of the names of what it was made from.
+        needs: Ends of the names of its inputs.
         complete: Whether it is finished.
     """
 
@@ -41,7 +41,7 @@ class Entry:
 
 
 def entries(store: Path) -> Iterator[Entry]:
-    """What a store holds; damaged seals count as unfinished work.
+    """The entries of a store; damaged seals count as unfinished work.
 
     Raises:
         ValueError: If the folder is no store.
@@ -62,7 +62,7 @@ def entries(store: Path) -> Iterator[Entry]:
 
 
 def unreferenced(found: Iterable[Entry], ends: Iterable[str]) -> list[Entry]:
-    """The entries that are neither among those with these ends of names nor anything that these were made from."""
+    """The entries that neither have these ends of names nor are inputs of such entries."""
     by_end = {entry.end: entry for entry in found}
     waiting, kept = list(ends), set[str]()
     while waiting:

@@ -1,10 +1,10 @@
-"""What code reaches: every definition that may run when some modules are used.
+"""The reach of code: every definition that may run when some modules are used.
 
-A function or a constant runs where code that runs names it, a method where code that runs names its class, and what
-stands at the top of a module where that module is imported. So what is reached is found from the sources alone: what a
-definition names, what the module imports under that name, and what is named as text, "package.module:NAME", as in
-tables. The rows of a `Registry` are not followed. An object that comes from elsewhere has a class that somebody names:
-`tests/end_to_end/ledger/test_what_runs.py` watches small stages and finds nothing that runs and is not reached.
+A function or a constant runs where code that runs names it, a method where code that runs names its class, and the top
+of a module where that module is imported. So the reached code is found from the sources alone: the names in a
+definition, the module's imports under these names, and definitions named as text, "package.module:NAME", as in tables.
+The rows of a `Registry` are not followed. An object that comes from elsewhere has a class that somebody
+names: `tests/end_to_end/ledger/test_what_runs.py` watches small stages and finds nothing that runs and is not reached.
 """
 
 import sys
@@ -19,8 +19,8 @@ from novags.testbed.ledger.source import Source, sources
 from sensor_model.files.python import ROOT
 
 PACKAGES = ("novags", "simscenes", "sensor_model")
-# What returns nothing that a result depends on: it tells, shows, waits, locks and compares. And the presets of cameras:
-# a configuration holds every value of its camera.
+# Modules that return nothing that a result depends on: they tell, show, wait, lock and compare. And the presets of
+# cameras: a configuration holds every value of its camera.
 OUTSIDE = (
     *(f"novags.{name}" for name in ("cli", "commands", "failure", "options", "process", "testing")),
     *(f"novags.testbed.{name}" for name in ("console", "flight", "ledger", "report", "viewer")),
@@ -32,7 +32,7 @@ OUTSIDE = (
 
 @dataclass(frozen=True)
 class Counted:
-    """What counts in a module.
+    """The counting definitions of a module.
 
     Attributes:
         definitions: Numbers of the definitions that count.
@@ -44,7 +44,8 @@ class Counted:
 
 
 def reached(roots: Iterable[str]) -> dict[str, Counted]:
-    """What counts in each of our modules if all of `roots` are used. A module that is imported alone counts nothing.
+    """The counting definitions of each of our modules if all of `roots` are used. A module that is imported alone
+    counts nothing.
 
     Raises:
         ValueError: If there is no such module.
@@ -70,7 +71,7 @@ def path_of(module: str) -> Path:
 
 
 def source_of(module: str) -> Source:
-    """What the file of a module says."""
+    """The analysed file of a module."""
     return sources().of(path_of(module).read_bytes())
 
 
@@ -84,7 +85,7 @@ class _Walk:
         self._loading: list[str] = []  # modules whose imports are to be followed
 
     def finish(self) -> None:
-        """Follow what was found."""
+        """Follow the names found."""
         while self._waiting or self._loading:
             if self._loading:
                 self._load(self._loading.pop())
@@ -97,7 +98,7 @@ class _Walk:
                 self.reference(_absolute(base, module), name)
 
     def _load(self, module: str) -> None:
-        """What importing a module imports."""
+        """The imports that importing a module causes."""
         self._enters(module.rpartition(".")[0])
         for base, name in _module(module).loads:
             if name == "*":
@@ -114,7 +115,7 @@ class _Walk:
                 self.name(module, name)
 
     def reference(self, module: str, name: str, *attributes: str) -> None:
-        """What `from module import name` means, or "module:name", and attributes of that; name "": the module."""
+        """The object of `from module import name`, or "module:name", and attributes of that; name "": the module."""
         names = attributes if name in ("", "*") else (name, *attributes)
         if names:
             self.name(module, *names)
@@ -122,7 +123,7 @@ class _Walk:
             self.whole(module)
 
     def name(self, module: str, name: str, *attributes: str) -> None:
-        """What a name means in a module."""
+        """The object that a name means in a module."""
         if not self._enters(module):
             return
         known = _module(module)
@@ -139,7 +140,7 @@ class _Walk:
             self.whole(module)
 
     def _enters(self, module: str) -> bool:
-        """Whether a module is one of ours on which results depend; what importing it runs is found."""
+        """Whether a module is one of ours on which results depend; the code that importing it runs is found."""
         if module in self.found:
             return True
         if module.partition(".")[0] not in self._ours or is_outside(module) or not _is_known(module):
@@ -157,14 +158,14 @@ class _Walk:
 
 @dataclass(frozen=True)
 class _Module:
-    """What the source of a module says, to look up.
+    """The analysed source of a module, to look up.
 
     Attributes:
         source: All of it.
         bound: The definitions of each name.
         runs: Definitions that count wherever the module is imported.
-        loads: Module and name of what importing it imports.
-        lazy: Module and name of what is imported when it is used, by its name here.
+        loads: Module and name of the imports that importing it causes.
+        lazy: Module and name of objects that are imported when they are used, by their names here.
     """
 
     source: Source
@@ -202,7 +203,7 @@ def _file(module: str) -> Path | None:
 @cache
 def _would_load(module: str) -> str | None:
     """Where a module from outside would be loaded from that is not, as one that is imported when it is needed."""
-    if module.partition(".")[0] in PACKAGES:  # to look for it would import what lies above it
+    if module.partition(".")[0] in PACKAGES:  # to look for it would import the modules above it
         return None
     with suppress(ImportError, ValueError):
         return None if (spec := find_spec(module)) is None else spec.origin

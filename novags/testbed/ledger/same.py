@@ -1,7 +1,7 @@
 """Equal results of a store under different entries.
 
-An entry has another key where the code changes that made what it is made from. If that came out equal, the stage asks
-for the same as before: its own key holds contents, and a note under it says which entry has the result.
+An entry has another key where the code of its inputs changes. If that came out equal, the stage asks for the same as
+before: its own key holds contents, and a note under it says which entry has the result.
 """
 
 import os
@@ -47,10 +47,10 @@ def remember(entry: Path, records: Iterable[str]) -> None:
 
 
 def taken_over(folder: Path, record: str, key: str) -> str:
-    """Give a folder without a result that of the same key in another entry.
+    """Give a folder without a result the result of the same key in another entry.
 
     Returns:
-        The name of that entry; "" if there is none, or what it holds is not as it was written.
+        The name of that entry; "" if there is none, or its files have changed since they were written.
     """
     shared = _store.get()
     if shared is None or not (note := shared[0] / SAME / key).is_file():

@@ -1,8 +1,8 @@
-"""What one file of source says: its definitions, their tokens, and what each of them uses.
+"""The content of one file of source: its definitions, their tokens, and the names each of them uses.
 
 A definition is a statement at the top of a module. Code is compared as tokens, without comments, docstrings, layout and
 the messages of errors, so that the hash is equal under every version of Python. The rows of a `Registry` are left out:
-they are what could be used, not what is.
+they are code that could be used, not code in use.
 """
 
 import ast
@@ -24,8 +24,8 @@ from sensor_model.files.records import check_shape, parse_json, read_record
 MOST = 4000  # sources that are remembered
 SHAPE = {"definitions": [{"names": [str], "runs": bool, "tokens": str, "uses": [str], "reaches": [[str]]}],
          "imports": {"*": [str]}, "loads": [[str]]}  # fmt: skip
-# Decorators that wrap what they decorate and do nothing else. Any other may enter it in a table, as numba's
-# register_model does, so that it runs though nobody names it.
+# Decorators that wrap a function and do nothing else. Any other may enter it in a table, as numba's register_model
+# does, so that it runs though nobody names it.
 WRAPPERS = frozenset({"cache", "contextmanager", "dataclass", "fast", "inline", "intrinsic", "jit", "kernel",
                       "lru_cache", "no_grad", "partial", "remembered", "runtime_checkable"})  # fmt: skip
 _SKIPPED = (tokenize.COMMENT, tokenize.NL, tokenize.ENCODING, tokenize.ENDMARKER)
@@ -37,11 +37,11 @@ class Definition:
     """A statement at the top of a module.
 
     Attributes:
-        names: What it binds.
+        names: The names it binds.
         runs: Whether it does more than to bind names, so that it counts wherever its module is imported.
-        tokens: Hash of the tokens that can change what it computes.
+        tokens: Hash of the tokens that can change its results.
         uses: Names of the module that it reads, with their attributes: "name", "name.attribute".
-        reaches: Module and name of what it imports itself, and of what it names as text, "module:NAME"; the module with
+        reaches: Module and name of its own imports, and of definitions it names as text, "module:NAME"; the module with
             as many dots before it as are written, and "" as the name of a whole module.
     """
 
@@ -82,13 +82,13 @@ class Sources:
         self._known: dict[str, Source] = {}
         self._texts: dict[str, str] = {}  # of the same and of more, each parsed when it is asked for
         self._new = False
-        # What is remembered was found by this very code.
+        # Remembered results were found by this very code.
         self._name = f"{hashed(Path(__file__).read_bytes())}.json"
         with suppress(OSError, ValueError):
             self._texts = read_record(own_folder(cache_folder("sources")) / self._name, {"*": str})
 
     def of(self, content: bytes) -> Source:
-        """What a content says.
+        """The analysis of a content.
 
         Raises:
             SyntaxError: If it is no Python.
@@ -110,7 +110,7 @@ class Sources:
         return None
 
     def remember(self) -> None:
-        """Keep what was read for the next process."""
+        """Keep the analysis for the next process."""
         if self._new:
             with suppress(OSError):
                 text = json.dumps(dict(list(self._texts.items())[-MOST:]))
@@ -125,10 +125,10 @@ def sources() -> Sources:
 
 
 def _source(found: Any) -> Source:
-    """A source as it was kept.
+    """A source from the cache.
 
     Raises:
-        ValueError: If it is not what was kept.
+        ValueError: If it is not a kept source.
     """
     check_shape(found, SHAPE, "a source that is remembered", "remove it")
 
@@ -181,10 +181,10 @@ def _definition(statement: ast.stmt, lines: list[bytes]) -> Definition:
 def _bound(statement: ast.stmt) -> tuple[set[str], bool]:
     """The names that a statement binds, and whether it does more than that.
 
-    An assignment to names counts where these names are read: by our convention, what it calls does nothing but return a
-    value. An assignment to a part of something, a loop, a call or a condition counts always.
+    An assignment to names counts where these names are read: by our convention, the functions it calls do nothing but
+    return a value. An assignment to a part of something, a loop, a call or a condition counts always.
     """
-    # A function that assigns to a name of the module decides what others read there.
+    # A function that assigns to a name of the module decides on the value that others read there.
     names = {name for node in ast.walk(statement) if isinstance(node, ast.Global) for name in node.names}
     if isinstance(statement, ast.FunctionDef | ast.ClassDef):
         return {*names, statement.name}, not all(_wraps(decorator) for decorator in statement.decorator_list)
@@ -213,7 +213,7 @@ def _imported(statement: ast.Import | ast.ImportFrom) -> list[tuple[str, str]]:
 
 
 def _bound_by(statement: ast.Import | ast.ImportFrom) -> dict[str, tuple[str, str]]:
-    """What each name means that an import binds."""
+    """The object behind each name that an import binds."""
     found = {}
     for alias, (module, name) in zip(statement.names, _imported(statement), strict=True):
         if name or alias.asname:
@@ -230,7 +230,7 @@ def _is_reference(text: str) -> bool:
 
 
 def _run(node: ast.AST) -> Iterator[ast.AST]:
-    """What may reach something, of all that runs: imports, references as text, names with all their attributes."""
+    """Code that may reach something, of all that runs: imports, references as text, names with all their attributes."""
     if isinstance(node, ast.Import | ast.ImportFrom):
         yield node
     elif isinstance(node, ast.Constant):
@@ -270,7 +270,7 @@ def _is_table(node: ast.AST) -> TypeGuard[ast.Call]:
 
 
 def significant(content: bytes) -> Iterator[str]:
-    """The tokens of a source that can change what it computes."""
+    """The tokens of a source that can change its results."""
     tree = ast.parse(content) if b"Registry" in content else ast.Module([], [])
     tables = [((node.lineno, node.col_offset), (node.end_lineno, node.end_col_offset))
               for node in ast.walk(tree) if _is_table(node)]  # fmt: skip

@@ -70,23 +70,25 @@ def run_stage(
     """Do a stage's work unless its folder already holds the result of the same code, inputs and configuration.
 
     Args:
-        name: What the stage is called in messages and records.
+        name: The stage's name in messages and records.
         folder: Where it writes.
         record_name: The record, written last.
-        code: What does the work.
+        code: The code that does the work.
         inputs: Gives the content hash of each input, by name; asked before the work and after it.
-        opened: What it gave of the inputs as they were read, where that is known; it is not asked before the work then.
+        opened: Its result for the inputs at the time of reading, where that is known; it is not asked before the work
+            then.
         config: The resolved configuration (JSON-able).
         owns: Names in `folder` that the stage writes; nothing else is ever removed.
         prepare: Reads and checks the inputs. An earlier result stays untouched until it has returned.
-        work: Fills the folder (picking up what is there) with what `prepare` read, and returns the record's body.
+        work: Fills the folder (picking up existing files) from the data that `prepare` read, and returns the record's
+            body.
         console: Where progress goes.
         stale: Files elsewhere that describe an earlier result in `folder`; removed together with it.
-        scrap: What in `folder` only unfinished work needs; removed once the record is written, not before.
+        scrap: Files in `folder` that only unfinished work needs; removed once the record is written, not before.
         overwrite: Replace a finished result of other inputs or another configuration.
 
     Returns:
-        The record, as it stands in the folder.
+        The record in the folder.
 
     Raises:
         ValueError: If `folder` holds files that no stage of this kind has written, or a finished result of another
@@ -122,7 +124,7 @@ def run_stage(
 def refuse_other(
     folder: Path, record_name: str, config: Mapping[str, Any], inputs: Mapping[str, str] | None = None
 ) -> None:
-    """Refuse to replace a finished result by that of another request, or to believe one that was damaged.
+    """Refuse to replace a finished result by another request's, or to believe a damaged one.
 
     Args:
         folder: Where the request would write.
@@ -131,7 +133,7 @@ def refuse_other(
         inputs: Content hash of each of its inputs; None: not known yet, configurations alone count.
 
     Raises:
-        ValueError: If `folder` holds a finished result of another one, which says what differs, or damaged files.
+        ValueError: If `folder` holds a finished result of another one, which names the differences, or damaged files.
     """
     stage = _finished(folder, record_name)
     if stage is None:
@@ -191,7 +193,7 @@ class _Stage:
         self, asked: dict[str, Any], ask: Callable[[], Mapping[str, str]], prepare: Callable[[], Prepared],
         work: Callable[[Prepared], Mapping[str, Any]], earlier: tuple[float, int] | None, stale: Sequence[Path],
     ) -> dict[str, Any]:  # fmt: skip
-        """Do the work and write the record; `asked`: its entry "stage", but for what the work finds and costs."""
+        """Do the work and write the record; `asked`: its entry "stage", except the findings and costs of the work."""
         start, memory, record_path = time.perf_counter(), PeakMemory(), self.folder / self.record_name
         prepared = prepare()
         if earlier is None:
@@ -228,7 +230,7 @@ class _Stage:
         )
 
     def _checksums(self, witness: Witness) -> dict[str, str]:
-        """Of every file, as it was when this stage wrote it.
+        """Of every file, at the time when this stage wrote it.
 
         Raises:
             ValueError: If somebody else has written to one since.
@@ -252,7 +254,7 @@ class _Stage:
         return self.folder / UNFINISHED
 
     def _tidy(self) -> None:
-        """Remove what only unfinished work needs; what marks it goes last, so that this can be interrupted too."""
+        """Remove files that only unfinished work needs; its mark goes last, so that this can be interrupted too."""
         for name in self.scrap:
             remove(self.folder / name)
         self._unfinished.unlink(missing_ok=True)
@@ -263,7 +265,7 @@ class _Stage:
         None if the folder has to be cleared for it.
 
         Raises:
-            ValueError: If what is there is not this stage's.
+            ValueError: If the existing files are not this stage's.
         """
         record, name = self.folder / self.record_name, self.name
         if self._unfinished.exists():
@@ -290,7 +292,7 @@ class _Stage:
         return None
 
     def _clear(self, key: str, targets: Sequence[Path]) -> None:
-        """Remove files and folders, in this order; what an interruption leaves behind belongs to no work."""
+        """Remove files and folders, in this order; leftovers of an interruption belong to no work."""
         self._mark(None)
         for target in targets:
             remove(target)

@@ -1,12 +1,12 @@
-"""The store: what stages made, one folder an entry, found again by what it was made from.
+"""The store: results of stages, one folder an entry, found again by its inputs.
 
 store/set/tabletop-20x160x160-1f3a…/   store/capture/…   store/run/…   store/measurement/…
 
-The end of a name is the key: a hash of the stage's code and whole configuration and of all that it was made from. It
-is known before anything is computed, and nothing else ever writes to that folder. When an entry is complete its seal is
-written, a hidden file that says what it was made from and what it cost, and holds the hashes of its stages' records;
-these hold the checksum of every file. Before an entry is used again, all are compared. Studies that run at the same
-time may share a store: locks on the folders protect it.
+The end of a name is the key: a hash of the stage's code and whole configuration and of all its inputs. It is known
+before anything is computed, and nothing else ever writes to that folder. When an entry is complete its seal is written,
+a hidden file that names its inputs and its cost, and holds the hashes of its stages' records; these hold the checksum
+of every file. Before an entry is used again, all are compared. Studies that run at the same time may share a
+store: locks on the folders protect it.
 """
 
 import re
@@ -30,7 +30,7 @@ SHAPE: Any = {
     "cost": {"seconds": {"*": float}, "peak_bytes": int, "bytes": int, "work": float, "pixels": float, "group": str,
              "threads": int},
 }  # fmt: skip
-RECORD = {"stage": {"files": {"*": str}}}  # what a seal needs of the record of a stage
+RECORD = {"stage": {"files": {"*": str}}}  # the entries that a seal needs of the record of a stage
 
 
 def key_of(kind: str, recipe: dict[str, Any], code: Code) -> str:
@@ -38,8 +38,8 @@ def key_of(kind: str, recipe: dict[str, Any], code: Code) -> str:
 
     Args:
         kind: One of `KINDS`.
-        recipe: Configuration and the keys or contents of what it is made from (JSON-able).
-        code: What makes it.
+        recipe: Configuration and the keys or contents of its inputs (JSON-able).
+        code: The code that makes it.
     """
     return digest({"kind": kind, "code": code.key, **recipe})
 
@@ -51,17 +51,17 @@ def named(name: str, key: str) -> str:
 
 @dataclass(frozen=True)
 class Seal:
-    """What an entry was when it was complete."""
+    """The state of an entry when it was complete."""
 
     key: str
     content: str  # hash of all its files
-    made_of: dict[str, Any]  # contents of the entries it was made from, and what else its making depended on
+    made_of: dict[str, Any]  # contents of the entries it was made from, and other dependencies
     cost: dict[str, Any]
     records: dict[str, str]  # of the record that each stage wrote last, a hash of all of it, costs included
 
 
 def write_seal(folder: Path, key: str, made_of: dict[str, Any], cost: dict[str, Any], records: Iterable[str]) -> Seal:
-    """Seal a complete entry; `cost` as in `SHAPE`, but for the bytes; `records`: what its stages wrote last."""
+    """Seal a complete entry; `cost` as in `SHAPE`, but for the bytes; `records`: the last files of its stages."""
     files = files_of(folder, records)
     size = sum((folder / name).stat().st_size for name in files)
     found = {name: _whole(folder / name) for name in records}
@@ -100,7 +100,7 @@ def files_of(folder: Path, records: Iterable[str]) -> dict[str, str]:
 
 
 def damaged(folder: Path, seal: Seal) -> list[str]:
-    """The files that are not as they were when the entry was sealed. Files that came later do not count."""
+    """The files that have changed since the entry was sealed. Files that came later do not count."""
     return not_as_written(folder, seal.records, _whole) or not_as_written(folder, files_of(folder, seal.records))
 
 
@@ -117,7 +117,7 @@ def clear(folder: Path) -> None:
 
 
 def costs(root: Path) -> Iterator[dict[str, Any]]:
-    """What every entry of a store cost, with its kind; damaged seals are left out."""
+    """The cost of every entry of a store, with its kind; damaged seals are left out."""
     for kind in KINDS:
         for path in sorted(root.glob(f"{kind}/*/{SEAL}")):
             try:

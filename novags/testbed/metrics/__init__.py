@@ -1,4 +1,4 @@
-"""Scores: pure functions of arrays that compare what a method made with the truth.
+"""Scores: pure functions of arrays that compare the results of a method with the truth.
 
 `METRICS` names the scores of pictures; `images` holds ours and computes all, `tone` aligns pictures first, `perceptual`
 is LPIPS. `linear` compares light, `geometry` depth, `consistency` one view with another, `noise` finds the noise left.

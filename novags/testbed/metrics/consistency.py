@@ -24,13 +24,13 @@ class ConsistencyScores(TypedDict):
 def consistency_scores(
     rendered: tuple[Image, Image], reference: tuple[Image, Image], displacement: NDArray, visible: NDArray
 ) -> ConsistencyScores:
-    """Colour change of the method's two views along true correspondences, and that of the reference.
+    """Colour change of the method's two views along true correspondences, and the reference's.
 
     - `rendered`: mean |A(p) - B(p + displacement)| of the method over the visible pixels and the channels.
     - `reference`: the same of the reference: gloss and reflections that move with the camera, and the resampling of B
       between its pixel centres.
-    - `excess`: mean absolute difference of the two signed changes: what changes in the method and not in the truth.
-      0 for the truth itself, where `rendered` is not; a flat picture cannot win by not changing at all.
+    - `excess`: mean absolute difference of the two signed changes: changes in the method and not in the truth. 0 for
+      the truth itself, where `rendered` is not; a flat picture cannot win by not changing at all.
 
     Both pairs must have the same tone, or contrast is compared instead of consistency: score against the reference put
     through the method's own enhancement, or align the tones of a method with one curve for both views.

@@ -30,7 +30,7 @@ def geometry_scores(depth: NDArray, alpha: NDArray, truth: NDArray) -> GeometryS
     - `coverage`: share of these pixels with a rendered depth (opacity of at least `MIN_ALPHA`).
     - `abs_rel`: mean of |depth - truth| / truth over the covered ones.
     - `within_5_percent`: share with a rendered depth within `TOLERANCE` of the truth; a pixel without depth is a miss,
-      so that leaving out what is difficult does not pay.
+      so that leaving out difficult pixels does not pay.
     - `floaters`: mean opacity in front of the true surface, at least: see `opacity_in_front`. Not for a depth that
       halves the weight of a ray, as fields have: with half of it in front, such a ray counts by up to all its opacity.
 
@@ -63,9 +63,9 @@ def opacity_in_front(depth: NDArray, alpha: NDArray, truth: NDArray) -> NDArray[
     than a pixel, and at a silhouette its depth lies between the surfaces without floating anywhere.
 
     A ray's weights w at depths d satisfy alpha * (1 - depth / t) = sum(w (1 - d / t)). Terms beyond t are negative,
-    those in front at most w, so the left side bounds the opacity in front from below, whatever its distribution along
-    the ray. The bound is reached by opacity at the camera and the rest at t; a sheet of opacity a at half of t counts
-    a / 2, so floaters weigh more the nearer they are. 0 where the truth or the method has no depth.
+    terms in front at most w, so the left side bounds the opacity in front from below, for any distribution along the
+    ray. The bound is reached by opacity at the camera and the rest at t; a sheet of opacity a at half of t counts a /
+    2, so floaters weigh more the nearer they are. 0 where the truth or the method has no depth.
     """
     known = _is_depth(truth) & _is_depth(depth)
     nearest = minimum_filter(np.where(_is_depth(truth), truth, np.inf), size=3, mode="nearest")

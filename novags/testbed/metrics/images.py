@@ -1,7 +1,7 @@
 """Image metrics against a reference, plain and after an alignment of tone.
 
 Images are float [h,w,3], sRGB-encoded. Renders may overshoot 0..1 a little. `image_scores` fits the alignments to the
-image as it is; for all other scores, and after the affine fit, it is clipped to 0..1, as a display would.
+unclipped image; for all other scores, and after the affine fit, it is clipped to 0..1, as a display would.
 """
 
 from collections.abc import Callable, Collection, Sequence

@@ -18,7 +18,7 @@ def exposure_gain(pairs: Iterable[tuple[Image, Image]], white: float = 1.0) -> f
     """The one factor on all images that minimises the squared error to their references over all views.
 
     Values where the reference has `white` or more do not count: a picture clips them, and a lamp in view would
-    otherwise decide alone. Where nothing is darker, those at `white` itself do.
+    otherwise decide alone. Where nothing is darker, pixels at `white` itself do.
 
     Args:
         pairs: (image, reference) of each view; read once, so a generator needs memory for one view only.
@@ -39,7 +39,7 @@ def exposure_gain(pairs: Iterable[tuple[Image, Image]], white: float = 1.0) -> f
     if not cross > 0:
         raise ValueError(
             f"the sum of image times reference must be > 0 to match exposures, got {cross:g} over {views} views: "
-            "check that the images hold light, and that of the same views as the references"
+            "check that the images hold light, and show the same views as the references"
         )
     return cross / energy
 

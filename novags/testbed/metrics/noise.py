@@ -1,4 +1,4 @@
-"""How much of the known noise is left, and what no average of noisy pictures can remove.
+"""How much of the known noise is left, and the part that no average of noisy pictures can remove.
 
 The test bed knows the noise of each picture itself, not its variance alone: it is the picture less its noise-free twin
 through the same enhancement. Images are float [h,w,3], sRGB-encoded.
@@ -19,8 +19,8 @@ def noise_share(image: Image, noisy: Image, reference: Image) -> float | None:
     """Share of the noise of `noisy` that is still in `image`: 1 for the noisy picture itself, 0 for the reference.
 
     The regression of the image's error on the known noise. The noise is centred at each brightness of the reference:
-    what clipping adds to dark pixels is a bias that every exposure shares, not noise. Blur, a wrong tone and the noise
-    of other exposures are uncorrelated with this noise, and so do not count.
+    clipping adds a bias to dark pixels that every exposure shares, not noise. Blur, a wrong tone and the noise of other
+    exposures are uncorrelated with this noise, and so do not count.
 
     Returns:
         The share; None if `noisy` equals the reference, apart from its mean at each brightness.
@@ -60,7 +60,7 @@ def squared_bias(exposures: Sequence[Image], references: Sequence[Image]) -> flo
 
     Args:
         exposures: K >= 2 pictures of one view that differ by noise.
-        references: What each is compared with, its noise-free twin.
+        references: The noise-free twin of each, its reference.
 
     Raises:
         ValueError: If there are fewer than two, not as many of each, shapes differ, or a value is not finite.

@@ -1,4 +1,4 @@
-"""The type of what is compared."""
+"""The type of compared pictures."""
 
 from typing import TypeAlias
 

@@ -1,7 +1,7 @@
-"""Alignments of an image to its reference, which remove what is a matter of tone.
+"""Alignments of an image to its reference, which remove differences of tone.
 
 Images are float [h,w,3], sRGB-encoded. Both alignments work per image and channel, in the least-squares sense, and see
-the image as it is, values outside 0..1 included: clipping first would lose what the fit brings back into range.
+the unclipped image, values outside 0..1 included: clipping first would lose values that the fit brings back into range.
 
 - `affine_aligned`: gain and offset.
 - `tone_aligned`: any non-decreasing curve. It contains every affine change of positive gain, gamma and film curve.
@@ -43,9 +43,9 @@ def tone_aligned(image: Image, reference: Image) -> Image:
     becomes the reference's mean.
 
     It cannot see any increasing change of tone: too dark, too flat, a wrong gamma or white balance, and highlights or
-    shadows crushed in steps finer than the noise cost nothing. What remains is what no curve per channel can undo:
-    noise, blur, displaced structure, colours mixed across channels, tones that differ from place to place. A curve has
-    more freedom than a gain and an offset, so compare these scores with each other, never with affine-aligned ones.
+    shadows crushed in steps finer than the noise cost nothing. Errors remain that no curve per channel can undo: noise,
+    blur, displaced structure, colours mixed across channels, tones that differ from place to place. A curve has more
+    freedom than a gain and an offset, so compare these scores with each other, never with affine-aligned ones.
 
     Raises:
         ValueError: If the shapes differ or are not [h,w,3], or a value is not finite.
@@ -77,7 +77,7 @@ def with_contrast(reference: Image) -> NDArray[np.bool_]:
 
 
 def check_pair(image: Image, reference: Image) -> None:
-    """Refuse what cannot be compared.
+    """Refuse images that cannot be compared.
 
     Raises:
         ValueError: If the shapes differ or are not [h,w,3], or a value is not finite.

@@ -118,7 +118,7 @@ def _named(name: str, method: str, wanted: Mapping[str, Any]) -> list[str]:
 
 
 def _asked(variant: Variant, given: Mapping[str, Any]) -> Any:
-    """The configuration that `novags reconstruct` makes of a variant, as it is recorded."""
+    """The configuration that `novags reconstruct` makes of a variant, as recorded."""
     preset: Preset = EXPERIMENTS[PRESET]
     config = variant.config(METHODS[variant.method].config(), {**preset.settings, **given})
     return jsonable(ReconstructConfig(variant=variant, config=config).resolved()["config"])

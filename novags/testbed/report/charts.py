@@ -50,7 +50,7 @@ class Series:
     line: str | None = ""  # further CSS class of the line through the points; None: there is no line
     mark: str = ""  # at each point: a path that begins there
     edges: Sequence[float] = ()  # of bins, one more than points: the line goes in steps
-    ring: tuple[float, str] | None = None  # on the line: where, x, and what it says
+    ring: tuple[float, str] | None = None  # on the line: where, x, and its text
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class Axis:
         return math.isfinite(value) and (value > 0 or not self.logarithmic)
 
     def share(self, value: float) -> float:
-        """Of the way from its beginning to its end; what lies beyond an end is drawn there."""
+        """Of the way from its beginning to its end; values beyond an end are drawn there."""
         scaled = value if not self.logarithmic else math.log10(value) if value > 0 else self.low
         return min(max((scaled - self.low) / (self.high - self.low), 0.0), 1.0)
 
@@ -100,7 +100,7 @@ class Axis:
 class Chart:
     """Series over two axes."""
 
-    title: str  # for those who do not see it
+    title: str  # for readers who do not see it
     x: Axis
     y: Axis
     series: Sequence[Series]
@@ -134,7 +134,7 @@ class Chart:
                 f'aria-label="{escape(self.title)}" data-plot="{plot}">{self.inside()}</svg>')  # fmt: skip
 
     def inside(self) -> str:
-        """All that is in the picture."""
+        """The content of the picture."""
         left, top, right, floor = self.box
         parts = [f'<text class="heading" x="8" y="16">{escape(self.heading)}</text>'] if self.heading else []
         parts.append(f'<text class="axis" x="8" y="{top - 18}">{escape(self.y.label)}</text>')
@@ -199,7 +199,7 @@ def _mark(series: Series, x: float, y: float, said: str = "") -> str:
 
 
 def shortened(name: str) -> str:
-    """What does not fit is cut out of the middle: names of variants differ at their beginnings or at their ends."""
+    """Long names are cut in the middle: names of variants differ at their beginnings or at their ends."""
     half = (NAME - 1) // 2
     return name if len(name) <= NAME else f"{name[: NAME - 1 - half]}…{name[-half:]}"
 

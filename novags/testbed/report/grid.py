@@ -56,9 +56,7 @@ class Line:
     runs: list[Row]  # its rows of the study's table
     # Mean and standard deviation over the seeds (None of fewer than two) by column, where there are values.
     spread: dict[str, tuple[float, float | None]] = field(default_factory=dict)
-    places: dict[str, int] = field(
-        default_factory=dict
-    )  # its rank among those that compete at the same place, by column
+    places: dict[str, int] = field(default_factory=dict)  # its rank among competing lines at the same place, by column
     alike: bool = True  # whether references at this place are enhanced alike: else scores against them rank nothing
 
     @property
@@ -147,7 +145,7 @@ def verdict(lines: Sequence[Line], competes: Mapping[str, bool]) -> str:
 
 
 def _dissent(lines: Sequence[Line], main: str, best: str) -> str:
-    """By which other scores another method comes first; those in which the best takes no place say nothing of it."""
+    """By which other scores another method comes first; scores in which the best takes no place say nothing of it."""
     apart: dict[str, list[str]] = {}
     for column, heading, *_ in columns():
         placed = any(column in line.places for line in lines if line.method == best)

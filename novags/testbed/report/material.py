@@ -1,4 +1,6 @@
-"""What a page is made of, for one place or many: the rows of a table, the runs behind them, and what has pictures."""
+"""What a page is made of, for one place or many: the rows of a table, the runs behind them, and the places with
+pictures.
+"""
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -35,7 +37,7 @@ MADE_CAPTURE: Any = {"stage": COST, "set?": ({"path": PLACE}, None), "plan?": (s
 
 @dataclass(frozen=True)
 class Made:
-    """A run, and the records of what it was made from."""
+    """A run, and the records of its inputs."""
 
     run: Run
     name: str  # what tells it from the others of the page
@@ -58,8 +60,8 @@ class Material:
     one: Place | None = None  # where all runs are of one capture
     study: tuple[Path, Mapping[str, Any]] | None = None  # the folder of a study, and its study.json
     command: str | None = None  # what makes all of it again, where it was one command
-    unseen: dict[str, str] = field(default_factory=dict)  # what has no pictures, and why
-    unavailable: Mapping[str, str] = field(default_factory=dict)  # what could not be computed, and why
+    unseen: dict[str, str] = field(default_factory=dict)  # places without pictures, and why
+    unavailable: Mapping[str, str] = field(default_factory=dict)  # scores that could not be computed, and why
     unregistered: Mapping[str, tuple[Sequence[str], int]] = field(default_factory=dict)  # without a camera; with one
     lost: int = 0  # finished runs that are not on this machine, or cannot be read
 
@@ -100,7 +102,7 @@ class Material:
         return [self.made[int(row["run"])] for row in line.runs if int(row["run"]) in self.made]
 
     def called(self, made: Made) -> str:
-        """What is said of runs together: of one place each has its name, of several a method is named once."""
+        """The name of runs together: of one place each has its name, of several a method is named once."""
         return made.name if self.one else made.run.name
 
 
@@ -133,7 +135,7 @@ def titles(places: Sequence[Place], folder: Path) -> list[str]:
 
 
 def made_of(run: Run, name: str, known: dict[Path, Any]) -> Made:
-    """A run with the records of its capture and its set; `known` keeps those that were read.
+    """A run with the records of its capture and its set; `known` keeps the records that were read.
 
     Raises:
         ValueError: If one cannot be read.
@@ -158,13 +160,13 @@ def _prepared(place: Place, count: int) -> Place:
     cameras = place.capture.cameras
     if count == 1:
         return replace(place, views=[*spread(cameras.test_indices), *spread(cameras.train_indices)])
-    # Of its own memory, so that what was computed for the pictures of one capture goes before the next.
+    # Of its own memory, so that data for the pictures of one capture go before the next.
     capture = replace(place.capture, memo=Memo())
     return replace(place, capture=capture, views=spread(cameras.test_indices, max(1, VIEWS // count)))
 
 
 def _by_method(runs: Mapping[str, Run]) -> dict[str, Row]:
-    """How runs of several captures appear: those of one name alike."""
+    """How runs of several captures appear: runs of one name alike."""
     first: dict[str, Run] = {}
     for run in runs.values():
         first.setdefault(run.name, run)

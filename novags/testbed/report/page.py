@@ -25,7 +25,7 @@ from sensor_model.files.atomic import write_text
 from sensor_model.files.door import read_bytes, resolved
 from sensor_model.files.lock import locked
 
-BLOCKS = (  # of every page, in this order: what is taken out here is on no page
+BLOCKS = (  # of every page, in this order: a block taken out here is on no page
     Block("header", header.header),
     Block("look", look.look),
     Block("scores", scores.scores),
@@ -46,7 +46,7 @@ def write_report(folder: Path, console: Console) -> Path:
     """Write `folder`/report.html on a study of one place or a run, and return its path.
 
     Raises:
-        ValueError: If the folder holds nothing scored, or what it refers to is gone.
+        ValueError: If the folder holds nothing scored, or folders it refers to are gone.
         BlockingIOError: If another process is writing there.
     """
     with locked(folder, make=False):
@@ -65,7 +65,7 @@ def write_reports(
         overwrite: Replace `out` even if it is there and no report on the same runs.
 
     Raises:
-        ValueError: If a folder holds nothing scored, what it refers to is gone, or `out` is something else.
+        ValueError: If a folder holds nothing scored, folders it refers to are gone, or `out` is something else.
         BlockingIOError: If another process is writing there.
     """
     if len(folders) == 1 and out is None and any((folders[0] / name).exists() for name in (EXPERIMENT, RECORD)):
@@ -148,7 +148,7 @@ def _filled(context: Mapping[str, Any]) -> str:
 
 
 def _asset(name: str) -> Any:
-    """A script or a style as it is."""
+    """A script or a style, unchanged."""
     return Markup((files("novags.testbed.report") / name).read_text(encoding="utf-8"))
 
 

@@ -1,4 +1,4 @@
-"""What blocks are made of: a page in the making, and tables in one form, whatever they are on."""
+"""Parts of blocks: a page in the making, and tables, all in one form."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -12,7 +12,7 @@ from novags.testbed.report.look.album import Album
 from novags.testbed.report.material import Material
 from novags.testbed.report.words import number
 
-Attributes = Mapping[str, Any]  # of an element; those that are None are left out
+Attributes = Mapping[str, Any]  # of an element; attributes that are None are left out
 
 
 @dataclass
@@ -67,7 +67,7 @@ class Table:
     """A table that can be sorted and saved."""
 
     name: str  # by which scripts and links know it
-    label: str  # for those who do not see it
+    label: str  # for readers who do not see it
     columns: Sequence[Column]
     rows: Iterable[TableRow]
     style: str = ""  # its class

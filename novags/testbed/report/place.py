@@ -29,7 +29,7 @@ class Place:
     lit: Source  # the set it was made from
     runs: dict[str, Run]  # by the names that a page gives them
     metrics: dict[str, Any]  # their scores, see `merged`
-    views: Sequence[int] = ()  # those of which a page has pictures
+    views: Sequence[int] = ()  # the views of which a page has pictures
 
     @property
     def title(self) -> str:
@@ -67,13 +67,15 @@ class Place:
         return next((row.name for row in self.rows.values() if row.bound == end), None)
 
     def deltas(self, kind: str) -> tuple[dict[str, float], str]:
-        """What each run has over the floor, or the first run, in the main score of a reference; and what that is."""
+        """The gain of each run over the floor, or over the first run, in the main score of a reference; and which of
+        both.
+        """
         methods = {name: run.method for name, run in self.runs.items()}
         return deltas(self.metrics["methods"], methods, kind, MAIN[kind])
 
 
 def command_of(folder: Path) -> str | None:
-    """The command that made an experiment; None of what is none."""
+    """The command that made an experiment; None of other folders."""
     path = folder / EXPERIMENT
     found: str | None = read_json(path, shapes.EXPERIMENT)["command"] if path.exists() else None
     return found

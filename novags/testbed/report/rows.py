@@ -25,7 +25,7 @@ class Row:
     name: str  # of the run
     key: str  # of its CSS class
     method: str  # of the method
-    title: str  # what it does
+    title: str  # its work
     family: str  # of the method
     color: str  # "#rrggbb", different for every run of a report
     bound: str | None  # "floor", "ceiling" or None, for a method with its own settings; a variant is not a bound
@@ -58,9 +58,9 @@ def rows_of(runs: Mapping[str, Run]) -> dict[str, Row]:
 
 
 def looks_of(names: Iterable[str], study: Mapping[str, Any]) -> dict[str, Row]:
-    """The rows of a study's methods, variants and programs, by name, in their order; also of those without a run.
+    """The rows of a study's methods, variants and programs, by name, in their order; also without a run.
 
-    `study`: the content of its file, with the tables of its own variants and programs, and what it sets for all.
+    `study`: the content of its file, with the tables of its own variants and programs, and its settings for all.
     """
     programs = study.get("method", {})
     variants = with_variants(

@@ -20,7 +20,7 @@ from novags.testbed.report.rows import looks_of
 from novags.testbed.study.light import MEASURES, METHOD
 from sensor_model.files.records import check_shape, read_record
 
-AGAIN = "run the study again: what is done is kept"
+AGAIN = "run the study again: finished work is kept"
 VALUE = (str, float, bool)  # of an axis
 RESULTS: Any = {"axes": {"*": [VALUE]}, "rows": list}
 FILE: Any = {"file": str, "table": {"variant?": {"*": {"method": str}}, "method?": dict, "override?": dict}}
@@ -75,7 +75,9 @@ def read_rows(path: Path) -> tuple[list[dict[str, Any]], dict[str, list[Any]]]:
 
 
 def read_made(folder: Path, rows: Sequence[Mapping[str, Any]]) -> tuple[dict[int, Made], list[int]]:
-    """Every finished run whose folder is here, by number; and the numbers of those that are not, or cannot be read."""
+    """Every finished run whose folder is here, by number; and the numbers of runs whose folder is not here, or cannot
+    be read.
+    """
     found, lost, known = dict[int, Made](), list[int](), dict[Path, Any]()
     for row in rows:
         if row["state"] != "done":

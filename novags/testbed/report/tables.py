@@ -63,8 +63,8 @@ def ranked(
 ) -> list[dict[str, Any]]:  # fmt: skip
     """Rows of cells, of values by row and column, in the order of the first column, with the rank in each.
 
-    The best value among those that compete is marked. `competes`: whether a row may be the best; those that may not
-    have no rank. `placed`: (row, column) -> whether its value can be compared with those of the other rows.
+    The best value among the competing ones is marked. `competes`: whether a row may be the best; other rows have no
+    rank. `placed`: (row, column) -> whether its value can be compared with the other rows'.
     """
     places, rows = {}, []
     for key, _, _, more in shown:

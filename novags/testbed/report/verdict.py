@@ -89,14 +89,14 @@ def verdict(place: Place) -> str:
 
 
 def leader(place: Place) -> str:
-    """The run with the best main score among those that see no truth; the main run where none has a score."""
+    """The run with the best main score among the runs that see no truth; the main run where none has a score."""
     value = _values(place)
     scored = [name for name, row in place.rows.items() if row.competes and value[name] is not None]
     return max(scored, key=lambda name: value[name] or 0.0, default=place.main)
 
 
 def compared(place: Place) -> tuple[str, str]:
-    """Keys of what a page compares at first: the floor's picture, or else the noisy one, and that of the leader."""
+    """Keys of the pictures that a page compares at first: the floor's, or else the noisy one, and the leader's."""
     floor, best = place.bound("floor"), leader(place)
     before = "enhanced" if floor in (None, best) else f"render-{floor}"
     return before, f"render-{best}"
@@ -105,7 +105,7 @@ def compared(place: Place) -> tuple[str, str]:
 def _dissent(place: Place, kind: str, main_score: str, best: str) -> str:
     """Which other scores put another run first: the headline hides none that is worse for its own.
 
-    Those in which the best run takes no place say nothing of it.
+    Scores in which the best run takes no place say nothing of it.
     """
     first: dict[tuple[str, str], list[str]] = {}
     for against in sorted(AGAINST, key=lambda other: other != kind):

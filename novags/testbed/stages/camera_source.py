@@ -72,7 +72,7 @@ def _found(
 class Frame:
     """The coordinate frame of a reconstruction, and the true cameras in it.
 
-    True cameras are those of the capture, seen from `origin_of` it.
+    True cameras are the capture's, seen from `origin_of` it.
 
     Attributes:
         capture: The capture.
@@ -106,7 +106,7 @@ class Frame:
     def facts(self) -> dict[str, Any]:
         """For the record: which views have a camera, how large the errors are after alignment, the depth scale.
 
-        `origin` is there where the set lies far from zero: add it to coordinates of the true frame (those of
+        `origin` is there where the set lies far from zero: add it to coordinates of the true frame (as in
         point_cloud.ply with cameras "known") to get the set's own, which float32 could not hold.
         """
         names, train = self.capture.names, self.capture.cameras.train_indices

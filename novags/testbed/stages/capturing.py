@@ -31,7 +31,7 @@ from simscenes.sets.multiview import write_cameras
 QUANTILES = (0.0, 0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99, 1.0)
 PIXELS_PER_VIEW, PIXELS = 1365, 350_000  # kept for the quantiles of the signal: enough for the 1 % ones
 NO_LIGHT = {  # what to do about a black set of each kind
-    "rendered": "none reaches its cameras: add an emitter to the scene, or check that one faces what they see",
+    "rendered": "none reaches its cameras: add an emitter to the scene, or check that one faces their view",
     "photographs": "check that its pictures are right",
 }
 
@@ -101,10 +101,10 @@ def camera_for(source: Source, config: CaptureConfig) -> Sensor:
 
 @dataclass(frozen=True)
 class Light:
-    """What all views of a capture share, because they share one exposure."""
+    """The data that all views of a capture share, because they share one exposure."""
 
     mean_green: float  # radiance over the set
-    signal_e: np.ndarray  # `QUANTILES` of what the sensor's channels collect, e-
+    signal_e: np.ndarray  # `QUANTILES` of the charge in the sensor's channels, e-
     plan: Plan | None  # which effects to simulate; None: all of them
 
 
@@ -115,7 +115,7 @@ def meter(source: Source, config: CaptureConfig, console: Console, pixels: int |
         source: The set.
         config: Camera and light.
         console: Where progress goes.
-        pixels: Of an image of the capture; None: those of the source.
+        pixels: Of an image of the capture; None: the source's.
 
     Raises:
         ValueError: If the set is black or holds bad radiance.
@@ -206,11 +206,11 @@ def expose_view(
 def expose_with_truth(
     radiance: np.ndarray, sensor: Sensor, exposure: Exposure, *, electrons: float, mean_green: float, **how: Any
 ) -> tuple[RawFrame, np.ndarray | None]:
-    """One exposure as `expose_view` takes it; for a mosaic also what its three channels give without noise.
+    """One exposure as `expose_view` takes it; for a mosaic also the signal of its three channels without noise.
 
     Returns:
-        The frame; and DN [h,w,3] as from three chips of the same camera, without what the plan leaves out. None for
-        three chips, whose frame holds it already (`RawFrame.clean_dn`).
+        The frame; and DN [h,w,3] as from three chips of the same camera, without the effects that the plan leaves out.
+        None for three chips, whose frame holds it already (`RawFrame.clean_dn`).
     """
     frame = expose_view(radiance, sensor, exposure, electrons=electrons, mean_green=mean_green, **how)
     if sensor.cfa is None:
@@ -226,7 +226,7 @@ def files_of(source: Source) -> dict[str, str]:
 
 
 def measure_light(source: Source, sensor: Sensor, progress: Update) -> tuple[float, np.ndarray]:
-    """Mean green radiance over the set, and `QUANTILES` of what the sensor's channels see, in the same unit.
+    """Mean green radiance over the set, and `QUANTILES` of the light on the sensor's channels, in the same unit.
 
     Raises:
         ValueError: If every view is black in green.

@@ -34,8 +34,8 @@ def run_command(
     """Let a program reconstruct the capture at `capture_path`; returns run.json.
 
     Raises:
-        ValueError: If the capture cannot be read, the program fails or takes too long, its pictures are missing or not
-            those of the test views, or `out` holds other things.
+        ValueError: If the capture cannot be read, the program fails or takes too long, its pictures are missing or do
+            not show the test views, or `out` holds other things.
         BlockingIOError: If another process is writing to `out`.
     """
     keep_apart(out, capture_path)
@@ -60,7 +60,7 @@ def run_command(
 def _reconstruct(capture: Capture, out: Path, config: CommandConfig, console: Console) -> dict[str, Any]:
     """Run the program and write its pictures; returns the body of run.json."""
     work = out / WORK
-    remove(work)  # what a killed attempt has left
+    remove(work)  # leftovers of a killed attempt
     try:
         shown, made = work / "capture", work / "out"
         show(capture, shown)
@@ -77,7 +77,7 @@ def _reconstruct(capture: Capture, out: Path, config: CommandConfig, console: Co
 
 
 def _keep_pictures(capture: Capture, made: Path, out: Path, space: str) -> bool:
-    """Write the program's pictures, of this space, as those of a run; returns whether they have depth."""
+    """Write the program's pictures, of this space, as pictures of a run; returns whether they have depth."""
     rig, cameras = capture.cameras.rig, capture.cameras
     names = [cameras.names[i] for i in cameras.test_indices]
     renders = find_renders(made, names)
@@ -115,9 +115,10 @@ def _body(capture: Capture, out: Path, config: CommandConfig, spent: Spent, with
 
 
 def show(capture: Capture, folder: Path) -> None:
-    """Lay out what a method may see of a capture: copies of its files, so that a program can change none of them.
+    """Lay out the part of a capture that a method may see: copies of its files, so that a program can change none of
+    them.
 
-    Through links it could, and other methods would then see what it has written; they would lead it to the truth, too.
+    Through links it could, and other methods would then see its changes; they would lead it to the truth, too.
 
     The truth is not among it. Dark pictures of the test views are, as every data set of the field has them, and
     test_list.txt names them.

@@ -28,7 +28,7 @@ def denoise(
     """Denoise every picture of the capture at `capture_path`; returns denoise.json.
 
     `linear` holds 16-bit PNGs of linear light, 0 = black and 65535 = white; `srgb` the same as 8-bit sRGB, as dark as
-    they were taken.
+    taken.
 
     Raises:
         ValueError: If the capture cannot be read, lacks raw data or known noise, or `out` holds other things.

@@ -1,4 +1,4 @@
-"""Import: dark photographs from elsewhere in, a capture folder out, with what truth there is about them."""
+"""Import: dark photographs from elsewhere in, a capture folder out, with all truth there is about them."""
 
 import os
 from dataclasses import asdict, dataclass, fields
@@ -42,14 +42,14 @@ class Material:
     dataset: Dataset | None
 
     def inputs(self) -> dict[str, str]:
-        """Hashes of all that is read, and what it was taken for."""
+        """Hashes of all files read, and their assumed meaning."""
         digests = {name: twins.digest() if twins else "" for name, twins in (("lit", self.lit), ("clean", self.clean))}
         return {"dark": self.dark.digest(), **digests, "dataset": self.dataset.name if self.dataset else ""}
 
 
 @dataclass(frozen=True)
 class Prepared:
-    """What all views share."""
+    """The data that all views share."""
 
     darkroom: Darkroom
     match: Match | None
@@ -118,7 +118,7 @@ def _dataset(folder: Path, named: str) -> Dataset | None:
 
 
 def prepare(material: Material, config: ImportConfig, console: Console) -> Prepared:
-    """Read every file once, so that nothing is cleared for what cannot be imported, and match the long exposures.
+    """Read every file once, so that nothing is cleared for files that cannot be imported, and match the long exposures.
 
     Raises:
         ValueError: If a file cannot be read, is of another kind, size or exposure than the first, or shows nothing.
@@ -174,7 +174,7 @@ def _say_no_codes(codes: Codes16, console: Console) -> None:
 
 
 def _say(dark: Dark, darkroom: Darkroom, config: ImportConfig, match: Match | None, console: Console) -> None:
-    """What was taken for granted and what could not be kept."""
+    """Assumptions about the photographs, and losses in the import."""
     if dark.depth == "16bit":
         console.note(
             f"import: 16-bit files: code {config.black:g} is black, {config.white:g} white, {config.curve} in between "

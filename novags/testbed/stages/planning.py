@@ -1,4 +1,4 @@
-"""What a capture of a scene would simulate, what it would leave out, and the bounds: the plans, before any work."""
+"""The effects that a capture of a scene would simulate or leave out, and the bounds: the plans, before any work."""
 
 import os
 from dataclasses import replace
@@ -13,7 +13,7 @@ from novags.testbed.stages.rendering import plan_of, prepare_render, render_view
 from sensor_model.files.scratch import scratch
 from sensor_model.plan import Plan
 
-# Enough to know the range of brightness and what the light does; it takes seconds.
+# Enough to know the range of brightness and the effects of light; it takes seconds.
 PILOT = RenderConfig(n_views=8, width=48, height=48, spp=32)
 
 

@@ -84,7 +84,7 @@ def photographs_of(source: Path) -> dict[str, Path]:
 
 
 def _others(folder: Path) -> str:
-    """Which other files a folder holds, by their suffixes, and what makes photographs of them."""
+    """Which other files a folder holds, by their suffixes, and programs that make photographs of them."""
     others = (path for path in folder.rglob("*") if path.is_file() and path.suffix.lower() not in SUFFIXES)
     shown = (path for path in others if not any(part.startswith(".") for part in path.relative_to(folder).parts))
     counts = Counter(path.suffix.lower() for path in shown if path.suffix)
@@ -128,12 +128,12 @@ def place(files: dict[str, Path], out: Path, config: PosesConfig, console: Conso
 
 
 def levelled(found: Registered) -> Registered:
-    """The same turned so that z is up, as in all sets: up is what is up in the mean photograph.
+    """The same turned so that z is up, as in all sets: up is the upward direction of the mean photograph.
 
     COLMAP's world is turned like its first pair of pictures. Cameras that agree on no up keep theirs.
     """
     up = -found.viewmats[:, 1, :3].mean(0)
-    if np.linalg.norm(up) < 1e-3:  # its direction would be that of rounding
+    if np.linalg.norm(up) < 1e-3:  # its direction would be rounding
         return found
     turn, _ = Rotation.align_vectors([[0.0, 0.0, 1.0]], [up])
     world = np.eye(4)
@@ -162,7 +162,7 @@ def write_set(
         picture = lens.undistort(pixels, pinhole)[top : top + height, left : left + width]
         write_png(out / "images" / file_of(names[k]), np.ascontiguousarray(picture))
         Ks[k] = pinhole - [[0, 0, left], [0, 0, top], [0, 0, 0]]
-    if not (Ks[:, (0, 1), (0, 1)] > 0).all():  # what fits a few chance matches need not be a lens
+    if not (Ks[:, (0, 1), (0, 1)] > 0).all():  # a model that fits a few chance matches need not be a lens
         raise ValueError(f"the {len(names)} photographs of {scene} that fit together do so only through a lens whose "
                          f"distortion cannot be undone: {BETTER}")  # fmt: skip
     order = sorted(range(len(names)), key=lambda k: file_of(names[k]))
@@ -175,7 +175,7 @@ def write_set(
 
 
 def _tracked(points: SparsePoints, seen: Sequence[Observed], rig: Rig) -> SparsePoints:
-    """The points with what each view observes, at the pixels that the pinholes of `rig` have there."""
+    """The points with the observations of each view, at the pixels that the pinholes of `rig` have there."""
     view = np.concatenate([np.full(len(one.points), i) for i, one in enumerate(seen)])
     pixels = [one.rays * np.diag(K)[:2] + K[:2, 2] for one, K in zip(seen, rig.Ks, strict=True)]
     return points.observed(rig, view, np.concatenate([one.points for one in seen]), np.concatenate(pixels))

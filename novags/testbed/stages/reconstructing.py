@@ -1,4 +1,4 @@
-"""Reconstruct: a capture in, a run out. Reads the pictures, lets a method work on arrays, writes what it produced."""
+"""Reconstruct: a capture in, a run out. Reads the pictures, lets a method work on arrays, writes its results."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -184,7 +184,7 @@ def reconstruct_views(
     parts = method.parts(config.config) if method.parts else None
     if parts is not None and parts.get("fit") == 0:
         console.note(f"reconstruct {variant.name}: 0 iterations of the fit: the first Gaussians (of NeRF: the first "
-                     "field) as they are")  # fmt: skip
+                     "field) untrained")  # fmt: skip
     with (
         warnings_as_notes(console),
         console.progress(f"reconstruct {variant.name}", parts) as progress,

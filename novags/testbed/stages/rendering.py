@@ -49,7 +49,7 @@ def render(
 
 
 def scene_digest(config: RenderConfig) -> str:
-    """What the scene is: the name of a catalogue scene, or a hash of a file and of the files that it names.
+    """The identity of the scene: the name of a catalogue scene, or a hash of a file and of the files that it names.
 
     Raises:
         ValueError: If the name is unknown, or the file cannot be read or must not be trusted.
@@ -62,7 +62,7 @@ def scene_digest(config: RenderConfig) -> str:
 
 
 def prepare_render(config: RenderConfig, console: Console) -> tuple[Rig, Plan | str]:
-    """The cameras, and what the plan has to be ("auto" where no effect is forced).
+    """The cameras, and the required plan ("auto" where no effect is forced).
 
     Raises:
         ValueError: If the scene, the variant or the camera is unknown, or cannot be loaded or used on this machine, or
@@ -96,7 +96,7 @@ def render_views(out: Path, config: RenderConfig, rig: Rig, plan: Plan | str, co
 
 
 def plan_of(config: RenderConfig, tolerance: float = 0.02) -> Plan:
-    """The plan of the light transport, with what the configuration forces.
+    """The plan of the light transport, with the effects that the configuration forces.
 
     Args:
         config: Scene, cameras and forced effects.

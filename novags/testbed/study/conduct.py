@@ -1,4 +1,4 @@
-"""A study from its file to its tables: plan, do what is missing, keep what is known of failures, write the rows."""
+"""A study from its file to its tables: plan, do the missing tasks, keep the known failures, write the rows."""
 
 import os
 import time
@@ -26,7 +26,7 @@ TABLES_EVERY = 10.0  # s; at least, between two writings of the tables while run
 
 
 def there(plan: Plan, store: Path) -> set[str]:
-    """The entries that a store has, by their seals; whether their files are as they were is seen when they are used."""
+    """The entries that a store has, by their seals; whether their files have changed is seen when they are used."""
     return {key for key, task in plan.tasks.items() if _is_sealed(task.folder(store), key if task.place else None)}
 
 
@@ -43,7 +43,7 @@ def conduct(
     plan: Plan, out: Path, store: Path, console: Console, engine: Engine, *, retry_failed: bool = False,
     known: Mapping[str, Outcome] | None = None, url: str | None = None,
 ) -> list[dict[str, Any]]:  # fmt: skip
-    """Do what is missing of a study and write its tables; returns their rows.
+    """Do the missing tasks of a study and write its tables; returns their rows.
 
     Args:
         plan: The study.
@@ -51,13 +51,13 @@ def conduct(
         store: The store.
         console: Where progress goes.
         engine: Where the work is done.
-        retry_failed: Try again what failed before.
+        retry_failed: Try failed tasks again.
         known: Entries that need not be looked at.
-        url: Where the store is, if `store` holds only what this machine knows of it.
+        url: Where the store is, if `store` holds only this machine's part of it.
 
     Raises:
         OSError: If the disk is full or may not be written to.
-        KeyboardInterrupt: If it is interrupted; what is finished is kept.
+        KeyboardInterrupt: If it is interrupted; finished work is kept.
     """
     store.mkdir(parents=True, exist_ok=True)
     sealed = there(plan, store)
@@ -68,7 +68,7 @@ def conduct(
     if watch.failures or (out / FAILURES).exists():
         write_json(out / FAILURES, watch.failures)
     longest = longest_after(plan, watch.seconds_left())
-    if plan.study.ends == "measurement":  # in turn, seeds last: what else loads the machine meets all settings alike
+    if plan.study.ends == "measurement":  # in turn, seeds last: other load on the machine meets all settings alike
         longest = {key: -float(place) for place, key in enumerate(plan.tasks)}
     failed = {key: Outcome("failed", f["reason"], f["stage"]) for key, f in watch.failures.items()}
     try:

@@ -1,8 +1,8 @@
-"""What tasks will cost: seconds, memory, disk, predicted from what finished ones in the store have cost.
+"""Costs of tasks: seconds, memory, disk, predicted from the costs of finished ones in the store.
 
 Seconds grow with the work, memory and disk with the pixels of all views, each from a constant. `DEFAULTS` are rough
-guesses, for a store that is still empty. What the store holds corrects them: a prediction is multiplied by the median
-ratio of measured to predicted over the entries most like the task.
+guesses, for a store that is still empty. The entries of the store correct them: a prediction is multiplied by the
+median ratio of measured to predicted over the entries most like the task.
 """
 
 import math
@@ -19,7 +19,7 @@ NEAREST = 5  # entries that a ratio is taken from
 
 @dataclass(frozen=True)
 class Cost:
-    """What one task costs."""
+    """The cost of one task."""
 
     seconds: float
     memory: float  # bytes, at the peak
@@ -47,7 +47,7 @@ DEFAULTS: dict[str, tuple[Line, Line, Line]] = {
     "set": (Line(3.0, 2.5e-7), Line(6e8, 60.0), Line(3e4, 45.0)),
     "capture": (Line(0.5, 4e-6), Line(6e8, 150.0), Line(3e4, 45.0)),
     "run": (Line(4.0, 1.5e-6), Line(9e8, 400.0), Line(1e6, 60.0)),
-    "measurement": (Line(10.0, 0.0), Line(1e9, 0.0), Line(3e3, 0.0)),  # what it costs is known of its like alone
+    "measurement": (Line(10.0, 0.0), Line(1e9, 0.0), Line(3e3, 0.0)),  # its cost is known of its like alone
 }
 
 
@@ -59,7 +59,7 @@ def default(kind: str, work: float, pixels: float) -> Cost:
 
 @dataclass
 class Costs:
-    """Measured costs, and what they predict."""
+    """Measured costs, and predictions from them."""
 
     measured: dict[str, list[tuple[str, int, float, Cost]]] = field(default_factory=dict)  # by kind
     threads: Mapping[str, int] = field(default_factory=dict)  # of each task of this study, by kind; 1 if it is missing
@@ -84,7 +84,7 @@ class Costs:
         self._ratios.clear()
 
     def predicted(self, task: Task) -> Cost:
-        """What a task will cost."""
+        """The predicted cost of a task."""
         expected = default(task.kind, task.work, task.pixels)
         place = (task.kind, task.group, task.work)
         if place not in self._ratios:
@@ -115,7 +115,7 @@ class Costs:
 def longest_after(plan: Plan, seconds: Mapping[str, float]) -> dict[str, float]:
     """Seconds from the start of each task to the end of the longest chain of tasks that begins with it."""
     after = dict(seconds)
-    for key, task in reversed(plan.tasks.items()):  # each comes after what it needs
+    for key, task in reversed(plan.tasks.items()):  # each comes after the tasks it needs
         for need in task.needs:
             after[need] = max(after[need], seconds[need] + after[key])
     return after

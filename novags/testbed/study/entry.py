@@ -1,7 +1,7 @@
-"""One entry of the store: kept if it is as it was sealed, else made by its stages, which resume what is unfinished.
+"""One entry of the store: kept if unchanged since it was sealed, else made by its stages, which resume unfinished work.
 
-In a folder with plain names (`Task.place`) nothing tells one request from another but what lies there: its stages look
-themselves, and say what they keep, what they make again and why.
+In a folder with plain names (`Task.place`) nothing tells one request from another but the files there: its stages look
+themselves, and say which results they keep, which they make again and why.
 """
 
 import os
@@ -31,8 +31,8 @@ class Task:
     config: Any  # of its stage: `RenderConfig`, `CaptureConfig`, `ImportConfig`, `ReconstructConfig`, …
     needs: tuple[str, ...] = ()  # keys of the tasks it is made from
     source: Path | None = None  # the set that a capture photographs, or the photographs it imports, if no task makes it
-    group: str = ""  # what its cost is compared with: the scene, the camera, the method; of KIN:… its kin, too
-    work: float = 0.0  # what its cost grows with, in `costs.UNITS`
+    group: str = ""  # the peers for its cost: the scene, the camera, the method; of KIN:… its kin, too
+    work: float = 0.0  # the amount that its cost grows with, in `costs.UNITS`
     pixels: float = 0.0  # of all its views
     modules: tuple[str, ...] = ()  # `Source.modules` of the set that is photographed
     code: str = ""  # key of the code that is to make it
@@ -44,7 +44,7 @@ class Task:
 
     @property
     def title(self) -> str:
-        """What people call it."""
+        """Its name for people."""
         return self.place or self.name.rpartition("-")[0]
 
     def folder(self, store: Path) -> Path:
@@ -54,7 +54,7 @@ class Task:
 
 @dataclass(frozen=True)
 class Order:
-    """What a worker needs to know of a task."""
+    """The data of a task that a worker needs."""
 
     task: Task
     folder: Path  # of its entry
@@ -80,9 +80,9 @@ def ensure(order: Order, steps: Steps, console: Console, depends: dict[str, Any]
 
     Args:
         order: The entry.
-        steps: What makes it.
+        steps: The steps that make it.
         console: Where notes go.
-        depends: What else the content depends on; not in the key, because little of the work depends on it.
+        depends: Further things that the content depends on; not in the key, because little of the work depends on it.
 
     Returns:
         `content`, `cost` and `made` (False: it was there) of the entry.
@@ -90,11 +90,11 @@ def ensure(order: Order, steps: Steps, console: Console, depends: dict[str, Any]
     Raises:
         ValueError: If a stage refuses its input.
         BlockingIOError: If another process is at work there.
-        MachineError: If this process has other code than the one that planned the study, whose code the key is of.
+        MachineError: If this process has other code than the process that planned the study, whose code the key is of.
     """
     if order.task.code and code_of(*order.task.roots).key != order.task.code:
         raise MachineError(
-            f"novags on {os.uname().nodename} is another version than the one that planned this study: it was changed "
+            f"novags on {os.uname().nodename} is another version than the planner of this study: it was changed "
             "meanwhile, or the nodes have different ones"
         )
     made_of = {**order.made_of, **(depends or {})}
@@ -119,7 +119,7 @@ def ensure(order: Order, steps: Steps, console: Console, depends: dict[str, Any]
 
 
 def _believed(order: Order, steps: Steps, console: Console) -> Seal | None:
-    """The seal of a complete entry whose files are as they were; else what cannot be believed is removed."""
+    """The seal of a complete entry whose files have not changed; files that cannot be trusted are removed."""
     try:
         seal = read_seal(order.folder)
         if seal is None:
@@ -144,7 +144,7 @@ def _believed(order: Order, steps: Steps, console: Console) -> Seal | None:
 def _cost(order: Order, steps: Steps) -> dict[str, Any]:
     task = order.task
     records = {name: read_json(order.folder / step.record) for name, step in steps.items()}
-    # A record's own peak is that of a program which ran beside this process.
+    # A record's own peak belongs to a program which ran beside this process.
     peaks = [int(record["stage"]["peak_bytes"]) + int(record.get("peak_bytes", 0)) for record in records.values()]
     return {
         "seconds": {name: float(record["stage"]["seconds"]) for name, record in records.items()},

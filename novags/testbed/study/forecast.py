@@ -1,4 +1,4 @@
-"""What a study will take, before any work: runs, stages that are there, time, memory, disk. Writes nothing."""
+"""The cost of a study, before any work: runs, stages that are there, time, memory, disk. Writes nothing."""
 
 import shutil
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ def forecast(
         plan: The study.
         store: The store.
         engine: Where the work would be done.
-        url: Where the store is, if `store` holds only what this machine knows of it.
+        url: Where the store is, if `store` holds only this machine's part of it.
         nodes: Numbers of nodes like this machine to simulate.
 
     Raises:
@@ -85,5 +85,5 @@ def size(count: float) -> str:
 
 
 def _existing(path: Path) -> Path:
-    """The folder that is there, of a path and those above it."""
+    """The existing folder, of a path and the folders above it."""
     return next(parent for parent in (path.absolute(), *path.absolute().parents) if parent.exists())

@@ -1,4 +1,5 @@
-"""What a study says about light: each score against the electrons, its spread over seeds, and where a method breaks.
+"""The results of a study over light: each score against the electrons, its spread over seeds, and where a method
+breaks.
 
 The knee of a curve is the light at which it has fallen by a stated amount from its own value at the most light of the
 study: searched from the most light downwards, between two levels linearly in the logarithm of the electrons, for every
@@ -24,7 +25,7 @@ class Measure:
     Attributes:
         key: Short name.
         column: Of the study's table.
-        label: What it is.
+        label: Its name in the legend.
         unit: Its unit, "" for a pure number.
         breaks: How the knee is defined: "below" the bright value by `amount`, "above" it by the factor `amount`; None:
             it has no knee.
@@ -194,7 +195,7 @@ def _curve(measure: Measure, place: dict[str, Any], method: str, rows: Iterable[
 
 
 def _knee(seeds: Collection[Mapping[float, float | None]], most: float, measure: Measure) -> Knee:
-    """The knee of all seeds, of which those without a value at the most light are unknown."""
+    """The knee of all seeds; seeds without a value at the most light are unknown."""
     known = [seed for seed in seeds if seed.get(most) is not None]
     return common_knee([knee_of(seed, measure) for seed in known], unknown=len(seeds) - len(known))
 

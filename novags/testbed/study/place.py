@@ -2,7 +2,7 @@
 
 set/ (unless one is given)   capture/   a folder for each method or variant
 results.csv   results.json   one row a run, as of every study; failures.json and logs/ where there are any
-experiment.json   report.html   what was asked for, once all is done, and the page
+experiment.json   report.html   the request, once all is done, and the page
 """
 
 from collections.abc import Callable, Sequence
@@ -32,17 +32,17 @@ from sensor_model.files.door import resolved
 from sensor_model.files.lock import dry, locked
 
 DESCRIBED = (EXPERIMENT, REPORT, REPORT_FILES)  # files that describe all runs in the folder
-TAKEN = ("set", "capture", *DESCRIBED, CSV, TABLE, FAILURES, "logs", UNFINISHED)  # what lies beside the runs
+TAKEN = ("set", "capture", *DESCRIBED, CSV, TABLE, FAILURES, "logs", UNFINISHED)  # the folders beside the runs
 
 
 def run(
     preset: Preset, out: Path, console: Console, *, report: Callable[[Path, Console], Path] | None = None,
     engine: Engine | None = None, command: str | None = None, overwrite: bool = False,
 ) -> Path:  # fmt: skip
-    """Run what is still missing of the experiment in `out`; returns the path of the report, or `out` without one.
+    """Run the rest of the experiment in `out`; returns the path of the report, or `out` without one.
 
     Args:
-        preset: What to do.
+        preset: The experiment.
         out: The folder.
         console: Where progress goes.
         report: Writes a report on the folder.
@@ -106,7 +106,7 @@ def _planned(preset: Preset, out: Path, console: Console, overwrite: bool) -> Pl
 
 
 def _source(task: Task, out: Path) -> Path | None:
-    """What a task reads: it is made from one thing at most, and plain names say which."""
+    """The input of a task: it has one at most, and plain names say which."""
     return out / ("capture" if task.kind == "run" else "set") if task.needs else task.source
 
 
@@ -140,7 +140,7 @@ def _refuse_set_elsewhere(out: Path) -> None:
 
 
 def said(preset: Preset, out: Path, console: Console, *, overwrite: bool = False) -> None:
-    """Say what `run` would do, and write nothing: which stages it would make, or make again and why.
+    """Name the steps of `run`, and write nothing: which stages it would make, or make again and why.
 
     Raises:
         ValueError: As `run`.
@@ -184,12 +184,12 @@ def score_all(folder: Path, runs: Sequence[Run], console: Console) -> None:
         console: Where progress goes.
 
     Raises:
-        ValueError: If what a run refers to is gone.
+        ValueError: If the folders a run refers to are gone.
         BlockingIOError: If another process is writing there.
     """
     with locked(folder, make=False):
         for run in runs:
-            with dry_run(dry.get()):  # in a dry run each says what it would do
+            with dry_run(dry.get()):  # in a dry run each names its steps
                 stages.score(run.path, console)
         if _is_done(folder):
             planned(console, "score", [folder / name for name in (CSV, TABLE)])

@@ -1,4 +1,4 @@
-"""The stages that a study needs, those that runs share once: folders of the store, and what each is made from."""
+"""The stages that a study needs, shared ones once: folders of the store, and the inputs of each."""
 
 import os
 from collections.abc import Collection, Iterator, Sequence
@@ -37,7 +37,7 @@ from simscenes.sets.writers.layouts import EXPORTS
 
 @dataclass(frozen=True)
 class Plan:
-    """Every task by key, each after those that it needs, and the runs of the study with the keys of theirs."""
+    """Every task by key, each after the tasks it needs, and the runs of the study with their keys."""
 
     study: Study
     tasks: dict[str, Task]
@@ -49,7 +49,7 @@ class Plan:
         return frozenset(key for _, key in self.runs)
 
     def only(self, knobs: Sequence[str], kept: Collection[str]) -> "Plan":
-        """Of measurements: what these knobs need (none named: all), and what is kept already.
+        """Of measurements: the needs of these knobs (none named: all), and finished measurements.
 
         Raises:
             ValueError: If there is no such knob.
@@ -62,14 +62,14 @@ class Plan:
         return replace(self, runs=runs, tasks={task.key: task for _, key in runs for task in self.above(key)})
 
     def above(self, key: str) -> Iterator[Task]:
-        """A task and all that it is made from, the first made first."""
+        """A task and all its inputs, the first made first."""
         for need in self.tasks[key].needs:
             yield from self.above(need)
         yield self.tasks[key]
 
 
 def plan_of(study: Study, store: Path, console: Console, *, here: bool = True) -> Plan:
-    """What has to be made for a study; nothing is computed and nothing written.
+    """The tasks of a study; nothing is computed and nothing written.
 
     Args:
         study: The study.
@@ -104,7 +104,7 @@ def plan_of(study: Study, store: Path, console: Console, *, here: bool = True) -
 
 
 def check(preset: Preset, console: Console, here: bool = True) -> None:
-    """Refuse what is known to fail before anything is computed.
+    """Refuse runs that are known to fail before anything is computed.
 
     Raises:
         ValueError: If it would.
@@ -126,14 +126,14 @@ def check(preset: Preset, console: Console, here: bool = True) -> None:
 
 @dataclass
 class Planner:
-    """Plans entries of a store, each with all that it is made from.
+    """Plans entries of a store, each with all its inputs.
 
     Attributes:
         store: The store.
         console: Where notes on sets that are there go.
-        tasks: What was planned, by key, each after those that it needs.
+        tasks: The planned tasks, by key, each after the tasks it needs.
         contents: Of scenes and of sets that are there, read once.
-        keys: Of sets and captures by what they are made from, hashed once: many runs share them.
+        keys: Of sets and captures by their inputs, hashed once: many runs share them.
     """
 
     store: Path
@@ -143,7 +143,7 @@ class Planner:
     keys: dict[tuple[str, str], str] = field(default_factory=dict)
 
     def run(self, preset: Preset) -> str:
-        """The key of a run, which is planned with all that it needs."""
+        """The key of a run, which is planned with all its inputs."""
         captured = self.capture(preset, for_runs=True)
         (name,) = preset.methods
         if (command := preset.command(name)) is not None:
@@ -207,7 +207,7 @@ class Planner:
         ))  # fmt: skip
 
     def _imported(self, folder: Path, config: ImportConfig) -> str:
-        """The key of a capture of photographs that are dark already; it holds all that it is made of."""
+        """The key of a capture of photographs that are dark already; it holds all its inputs."""
         folder = Path(os.path.abspath(folder))  # not where a link leads: names tell the scene and the data set
         place = (folder, digest(config.resolved()), config.lit, config.clean, config.dataset)
         if place not in self.contents:
@@ -226,9 +226,9 @@ class Planner:
         ))  # fmt: skip
 
     def _folder(self, path: Path, max_size: int | None) -> tuple[dict[str, Any], int, float, tuple[str, ...]]:
-        """What identifies a set that is there, its number of views and of pixels, and `Source.modules`.
+        """The identity of a set that is there, its number of views and of pixels, and `Source.modules`.
 
-        Captures refer to it by its place, so that it is part of what they are made from.
+        Captures refer to it by its place, so that it is one of their inputs.
         """
         if (path, max_size) not in self.contents:
             source = open_source(path, self.console, max_size)
@@ -283,7 +283,7 @@ class Planner:
 
 
 def _layouts(config: RenderConfig | CaptureConfig) -> dict[str, Any]:
-    """Further layouts change no picture, but an entry that was made without them lacks what is asked for."""
+    """Further layouts change no picture, but an entry that was made without them lacks requested files."""
     if not config.export:
         return {}
     written = code_of(*(EXPORTS.module_of(name) for name in config.export))

@@ -24,7 +24,7 @@ COSTS = ("seconds.", "peak_bytes")  # beginnings of the columns that differ from
 
 @dataclass(frozen=True)
 class State:
-    """Where a run is: "done", "failed", "skipped" (what it needs has failed) or "waiting"."""
+    """Where a run is: "done", "failed", "skipped" (a task it needs has failed) or "waiting"."""
 
     name: str = "waiting"
     reason: str | None = None
@@ -37,10 +37,10 @@ class Table:
     """The rows of a study.
 
     Attributes:
-        plan: What runs there are.
+        plan: The runs of the study.
         out: Folder of the study.
         store: The store.
-        url: Where the store is, if `store` holds only what this machine knows of it.
+        url: Where the store is, if `store` holds only this machine's part of it.
         kept: Rows of finished runs that an earlier start wrote, by key; they stand until the run is looked at again.
     """
 
@@ -55,7 +55,7 @@ class Table:
         """One row a run, in the order of the file.
 
         Args:
-            states: Of the runs, by key; those that are missing wait, or are as they were before.
+            states: Of the runs, by key; missing ones wait, or keep their earlier state.
         """
         found = []
         shares = self._recovered(states)

@@ -1,9 +1,9 @@
-"""The folder of a study: whose it is, and what a changed file may do to it.
+"""The folder of a study: whose it is, and the changes of its file that it allows.
 
 study.json       the file, its combinations and where their runs are in the store
 results.csv      results.json      one row a run
-failures.json    what failed, by key; tried again on request
-logs/            what each task printed
+failures.json    failed tasks, by key; tried again on request
+logs/            the output of each task
 """
 
 import os

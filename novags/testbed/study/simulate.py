@@ -1,4 +1,4 @@
-"""How long a study would take on so many nodes: list scheduling of its tasks, from what they are predicted to take."""
+"""How long a study would take on so many nodes: list scheduling of its tasks, from their predicted times."""
 
 import heapq
 from collections.abc import Mapping, Sequence
@@ -12,7 +12,7 @@ from novags.testbed.study.plan import Plan
 
 
 def makespan(plan: Plan, seconds: Mapping[str, float], places: int) -> float:
-    """Seconds until all tasks are done, the longest chains first, each task as soon as what it needs is done.
+    """Seconds until all tasks are done, the longest chains first, each task as soon as the tasks it needs are done.
 
     That is Graham's list scheduling, at most 2 - 1 / places times the shortest (SIAM J. Appl. Math. 17, 1969). A task
     occupies one place; moving data costs nothing.
@@ -56,7 +56,7 @@ def simulated(
 
     Args:
         plan: The study.
-        predicted: What each task costs.
+        predicted: The cost of each task.
         seconds: That are left of each.
         engine: Where the work would be done.
         nodes: The numbers.

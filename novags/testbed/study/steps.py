@@ -23,16 +23,16 @@ from novags.testbed.study.knobs.measurement import MEASURED, measure
 
 
 def make(order: Order, console: Console) -> dict[str, Any]:
-    """Make sure that an entry is there and complete; what workers do, see `entry.ensure`."""
+    """Make sure that an entry is there and complete; called by workers, see `entry.ensure`."""
     limit_threads(order.threads)
     return ensure(order, steps(order.task, order.folder, order.source, console), console, depends(order.task))
 
 
 def steps(task: Task, folder: Path, source: Path | None, console: Console) -> Steps:
-    """What makes an entry.
+    """The steps that make an entry.
 
     Args:
-        task: What has to be made.
+        task: The task.
         folder: Where.
         source: The set that a capture photographs, or the capture of a run or a measurement.
         console: Where progress goes.
@@ -63,7 +63,7 @@ def make_set(
     folder: Path, config: RenderConfig | PosesConfig, console: Console, *, stale: Sequence[Path] = (),
     overwrite: bool = False,
 ) -> None:  # fmt: skip
-    """Make a multiview set, rendered or of photographs; arguments and errors as those of the two stages."""
+    """Make a multiview set, rendered or of photographs; arguments and errors as for the two stages."""
     if isinstance(config, PosesConfig):
         stages.poses(folder, config, console, stale=stale, overwrite=overwrite)
     else:
@@ -71,7 +71,7 @@ def make_set(
 
 
 def depends(task: Task) -> dict[str, Any]:
-    """What the content depends on besides its key: where a score changes, only the scores are made again."""
+    """Dependencies of the content besides its key: where a score changes, only the scores are made again."""
     if task.kind != "run":
         return {}
     return {
@@ -81,7 +81,7 @@ def depends(task: Task) -> dict[str, Any]:
 
 
 def limit_threads(count: int) -> None:
-    """What no variable of the environment limits."""
+    """Threads that no variable of the environment limits."""
     import cv2
 
     cv2.setNumThreads(count)

@@ -20,8 +20,8 @@ def refusal(origins: list[str], hosts: list[str], names: frozenset[str]) -> str:
     """Why a request is refused; "" if it is not.
 
     Args:
-        origins: The headers `Origin`: that of the page that asks. Programs other than browsers send none.
-        hosts: The headers `Host`: what the browser was told to open.
+        origins: The headers `Origin`: the origin of the page that asks. Programs other than browsers send none.
+        hosts: The headers `Host`: the address that the browser was told to open.
         names: Which that may be, beside addresses, which nobody can make point elsewhere.
     """
     host = _named(f"//{hosts[0]}") if len(hosts) == 1 else None
@@ -49,7 +49,7 @@ def _is_address(host: str) -> bool:
 
 
 def names_of(host: str) -> frozenset[str]:
-    """The names that a viewer has which listens there: `host` itself, and those of this machine."""
+    """The names that a viewer has which listens there: `host` itself, and the names of this machine."""
     here = socket.gethostname()
     short = here.partition(".")[0]
     return frozenset(name.lower() for name in (host, "localhost", here, short, f"{short}.local") if name)
@@ -81,7 +81,7 @@ def guarded(names: frozenset[str]) -> Iterator[None]:
 
 
 def _answer(names: frozenset[str], answer: Handler | None, connection: Any, request: Any) -> Any:
-    """What viser answers, or that it does not."""
+    """The answer of viser, or a refusal."""
     if why := refusal(request.headers.get_all("Origin"), request.headers.get_all("Host"), names):
         return connection.respond(HTTPStatus.FORBIDDEN, f"{why}\n")
     return None if answer is None else answer(connection, request)

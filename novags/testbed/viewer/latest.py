@@ -1,4 +1,4 @@
-"""Work that follows a slider: a thread that does what was asked for last, and skips what it has no time for."""
+"""Work that follows a slider: a thread that does the last request, and skips requests it has no time for."""
 
 import threading
 from collections.abc import Callable
@@ -22,7 +22,7 @@ class Latest:
             self._changed.notify()
 
     def pending(self, part: str) -> bool:
-        """Whether `part` was asked for again, or all is over: what is under way need not be finished."""
+        """Whether `part` was asked for again, or all is over: work under way need not be finished."""
         return self._ended or part in self._parts
 
     @property

@@ -28,19 +28,21 @@ class Camera:
 
     @staticmethod
     def of(capture: Capture, source: Source, config: CaptureConfig | None = None) -> "Camera":
-        """The capture's own; where `config` is given or the camera of photographs is not known, that of `config`."""
+        """The capture's own; where `config` is given or the camera of photographs is not known, the camera of
+        `config`.
+        """
         record = capture.record
         seed = 0 if record.simulated is None else record.simulated.noise_seed
         if config is not None or capture.sensor is None:
             chosen = CaptureConfig() if config is None else config
             sensor = camera_for(source, chosen)
             return Camera(sensor, chosen.exposure, chosen.demosaic, source.color_matrix, seed)
-        # What is known of the light of imported photographs is in linear sRGB, not in the camera's own colours.
+        # The known light of imported photographs is in linear sRGB, not in the camera's own colours.
         matrix = None if capture.imported else record.color_matrix
         return Camera(capture.sensor, capture.exposure, record.demosaic, matrix, seed)
 
     def for_srgb(self) -> "Camera":
-        """The same camera before light that is in linear sRGB already, whatever colours the set was rendered in."""
+        """The same camera before light that is in linear sRGB already, for any colours that the set was rendered in."""
         return replace(self, color_matrix=None)
 
     def brightening(self, electrons: float) -> float:

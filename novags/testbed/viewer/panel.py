@@ -49,7 +49,7 @@ class Panel:
         return float(10.0**self.level.value)
 
     def offer(self, control: Any, options: tuple[str, ...], preferred: str) -> None:
-        """Change what can be chosen; what is chosen stays if it can."""
+        """Change the options; the chosen one stays if it can."""
         chosen = control.value
         if tuple(control.options) != options:
             control.options = options

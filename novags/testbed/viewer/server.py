@@ -27,7 +27,7 @@ def check_installed() -> None:
 
 @dataclass(frozen=True)
 class Viewer:
-    """A viewer that is being served: its address, and what every connected browser shows."""
+    """A viewer that is being served: its address, and the content of every connected browser."""
 
     address: str
     sessions: dict[int, Session] = field(default_factory=dict)
@@ -73,7 +73,7 @@ def serving(all_shown: Sequence[Shown], host: str, port: int) -> Iterator[Viewer
 
 
 def address_of(host: str, port: int) -> str:
-    """What to open in a browser on this machine."""
+    """The address to open in a browser on this machine."""
     named = "localhost" if host in ("", "0.0.0.0", "::") else f"[{host}]" if ":" in host else host
     return f"http://{named}:{port}"
 
@@ -99,5 +99,5 @@ def started(host: str, port: int) -> Any:
 
 
 def silent() -> contextlib.redirect_stdout[io.StringIO]:
-    """Around what viser prints."""
+    """Around the prints of viser."""
     return contextlib.redirect_stdout(io.StringIO())

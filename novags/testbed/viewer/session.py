@@ -1,4 +1,4 @@
-"""One browser: what it has chosen, and the thread that shows it."""
+"""One browser: its choices, and the thread that shows them."""
 
 import threading
 from collections.abc import Callable, Sequence
@@ -24,7 +24,7 @@ WITHIN = 0.2  # viewer units: a frustum that the viewer stands in would cover ev
 
 
 class Session:
-    """What one browser shows. Everything is computed in one thread of its own, and by one session at a time."""
+    """The content of one browser. Everything is computed in one thread of its own, and by one session at a time."""
 
     def __init__(self, client: Any, all_shown: Sequence[Shown], computing: threading.Lock) -> None:
         """Build the controls, and begin with the first run. `computing`: held where sessions share memory."""
@@ -33,7 +33,7 @@ class Session:
         self.nodes: list[Any] = []
         self.estimated: list[Any] = []  # frusta of the cameras that a method had
         self.has_gaussians = True
-        self.exposed: tuple[Any, ...] | None = None  # what the exposed picture was made from
+        self.exposed: tuple[Any, ...] | None = None  # the inputs of the exposed picture
         self.shown_kind: tuple[str, str] | None = None  # method and kind of the pictures, once all are there
         self.latest = Latest(self._update)
         told = all_shown[0].capture.record.simulated
@@ -48,7 +48,7 @@ class Session:
         return next((s for s in self.all_shown if s.title == self.panel.capture.value), self.all_shown[0])
 
     def _update(self, parts: frozenset[str]) -> None:
-        """Show what is chosen now. What goes wrong, a folder that was removed say, is said in the panel."""
+        """Show the present choice. Errors, a folder that was removed say, are shown in the panel."""
         if "capture" in parts:
             parts |= {"splats", "pictures", "light"}
         steps = (
@@ -67,7 +67,7 @@ class Session:
             self._say(troubles[0] if troubles else none)
 
     def _trouble_of(self, step: Callable[[], None]) -> str:
-        """Take a step, and say what went wrong; "": nothing. A black model has no light, but pictures."""
+        """Take a step, and return the error; "": none. A black model has no light, but pictures."""
         try:
             step()
         except Exception as error:  # the thread must outlive every file that is missing
@@ -87,7 +87,7 @@ class Session:
         self.client.scene.set_up_direction(shown.world.up)
         camera, start = self.client.camera, centers_of(shown.world.viewmats)[0]
         camera.position, camera.up_direction = 1.5 * start, shown.world.up
-        camera.look_at = np.zeros(3)  # the middle of what the cameras look at
+        camera.look_at = np.zeros(3)  # the middle of the cameras' targets
 
     def _offer(self) -> None:
         panel, shown = self.panel, self.shown

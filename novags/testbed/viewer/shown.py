@@ -1,4 +1,6 @@
-"""What the viewer shows of one capture: its runs, its pictures, and the light that a view is exposed to again."""
+"""The part of one capture that the viewer shows: its runs, its pictures, and the light that a view is exposed to
+again.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -32,7 +34,7 @@ SAMPLED = 32  # renderings that the mean light of a reconstruction is taken from
 
 @dataclass(frozen=True)
 class Shown:
-    """A capture and its runs. What was read or computed once is kept."""
+    """A capture and its runs. Files and results are kept once read or computed."""
 
     title: str
     capture: Capture
@@ -90,7 +92,8 @@ class Shown:
         return GREY / green if green > 0 else 1.0
 
     def scene(self, name: str) -> tuple[Scene, Similarity, Drawn | None] | None:
-        """A run's scene, the way from its frame to the viewer's, and what the browser draws, if Gaussians; else None.
+        """A run's scene, the way from its frame to the viewer's, and the data that the browser draws, if Gaussians;
+        else None.
 
         Raises:
             ValueError: If a file is damaged.
@@ -104,14 +107,14 @@ class Shown:
         into = self.world.from_true @ true_from(self.runs[name], self.capture)
         if not isinstance(found, GaussianScene):
             return found, into, None
-        light = self.runs[name].space == "linear" and found.tone is None  # tones are drawn as they are
+        light = self.runs[name].space == "linear" and found.tone is None  # tones are drawn unchanged
         return found, into, drawn(found, into, self._gain(name) if light else None)
 
     def linear(self, name: str, image: np.ndarray) -> np.ndarray:
         """A rendering of a run as light, in a unit of the run's own.
 
-        Of a run that does not render linear light, the light that its picture would need on a screen: the tones are
-        those of the picture, not of the scene.
+        Of a run that does not render linear light, the light that its picture would need on a screen: the tones belong
+        to the picture, not to the scene.
         """
         if self.runs[name].space == "linear":
             return np.maximum(image, 0)
@@ -138,7 +141,7 @@ class Shown:
         return np.asarray(cv2.resize(light, self.size, interpolation=cv2.INTER_AREA))
 
     def true_green(self) -> float:
-        """Mean green of `true_light` over all views: what `--electrons` refers to.
+        """Mean green of `true_light` over all views: the reference of `--electrons`.
 
         Raises:
             ValueError: If the set is black.
@@ -153,7 +156,7 @@ class Shown:
 
 
 def shown_of(folders: Sequence[Path], console: Console, sensor: str | None = None) -> list[Shown]:
-    """What the viewer shows of several folders of runs: one entry for each capture.
+    """The captures behind several folders of runs: one entry for each capture.
 
     Args:
         folders: Of runs, of experiments, or such that hold some.

@@ -45,8 +45,8 @@ def drawn(scene: GaussianScene, into: Similarity, gain: float | None = None) -> 
     Args:
         scene: In a frame of its own.
         into: From that frame.
-        gain: Of Gaussians in linear light: to what is encoded for the screen. Blending in code is not quite blending
-            in light.
+        gain: Of Gaussians in linear light: to the light that is encoded for the screen. Blending in code is not quite
+            blending in light.
     """
     g = scene.gaussians.detach()
     axes = into.scale * (into.rotation @ quat_to_rotmat(g.quats.double())) * g.scales.double()[:, None]

@@ -40,11 +40,12 @@ class World:
     def of(capture: Capture, upright: bool) -> "World":
         """The frame around a capture's cameras.
 
-        Up is what is up in the mean picture; with `upright` the axis of the true world that is nearest to that.
+        Up is the upward direction of the mean picture; with `upright` the axis of the true world that is nearest to
+        that.
         """
         true = true_cameras(capture).numpy()
         extent = extent_of(true)
-        # What the cameras look at lies about one extent before their middle; of a ring it is below the middle or in it.
+        # The cameras' target lies about one extent before their middle; of a ring it is below the middle or in it.
         middle = centers_of(true).mean(0) + extent * true[:, 2, :3].mean(0)
         scale = SIZE / extent
         turn = torch.eye(3, dtype=torch.float64)
@@ -89,7 +90,7 @@ def true_from(run: Run, capture: Capture) -> Similarity:
     """From the frame of a run to the true one; the identity for runs that did not write their cameras.
 
     Raises:
-        ValueError: If its cameras are damaged, or are not those of the capture.
+        ValueError: If its cameras are damaged, or are not the capture's.
     """
     found = own_cameras(run)
     if found is None:

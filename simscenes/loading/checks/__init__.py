@@ -1,1 +1,1 @@
-"""What is checked of a scene before Mitsuba has to live with it: files, numbers, and a trial in another process."""
+"""Checks of a scene before Mitsuba has to live with it: files, numbers, and a trial in another process."""

@@ -1,8 +1,8 @@
-"""What Mitsuba's plugins cannot do without and do not miss themselves: they crash, or fail far from the cause.
+"""Parts that Mitsuba's plugins need but do not check themselves: without them they crash, or fail far from the cause.
 
-Those that fail whatever they are given are refused too.
+Plugins that fail with any input are refused too.
 
-Every plugin was tried bare, in each place where one may stand (`tests/fuzz/readers/scenes.py`); those that refuse it
+Every plugin was tried bare, in each place where one may stand (`tests/fuzz/readers/scenes.py`); plugins that refuse it
 with a reason of their own are not listed here.
 """
 
@@ -47,7 +47,7 @@ BROKEN = {
 
 
 def check_complete(plugin: str, names: Collection[str], kinds: list[str], where: str) -> None:
-    """Refuse a plugin that lacks what it needs, or that nothing helps.
+    """Refuse a plugin that lacks a part it needs, or fails with any input.
 
     Args:
         plugin: Its type.

@@ -75,7 +75,7 @@ def _inflated(data: bytes) -> bytes:
     """The start of a zlib stream, up to where it is damaged: Mitsuba believes the counts before that."""
     stream, found = zlib.decompressobj(), b""
     try:
-        for byte in data:  # one by one: an error takes what the same call has already decompressed with it
+        for byte in data:  # one by one: an error takes data that the same call has already decompressed with it
             found += stream.decompress(bytes([byte]), MAX_HEADER - len(found))
             if len(found) >= MAX_HEADER or stream.eof:
                 break
@@ -88,7 +88,7 @@ def check_faces(params: Mapping[str, Any]) -> None:
     """Refuse a loaded scene with a mesh whose faces name vertices that it does not have.
 
     Args:
-        params: What `parameters_in` finds.
+        params: The result of `parameters_in`.
 
     Raises:
         ValueError: If there is one.

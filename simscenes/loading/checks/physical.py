@@ -12,12 +12,12 @@ from simscenes.loading.contents import media_in, surfaces_in, unique_materials
 
 # Reflectances and transmittances, by the end of a parameter's name.
 SHARES = re.compile(r"(reflectance|albedo|base_color|transmittance|spec_trans)\.(.*\.)?(value|values|data)$")
-# The same as a colour of vertices or faces, in what Mitsuba prints of a material: input, attribute, factor.
+# The same as a colour of vertices or faces, in Mitsuba's printed form of a material: input, attribute, factor.
 OF_MESH = re.compile(
     r"(\w*(?:reflectance|albedo|base_color|transmittance|spec_trans))(?: =|:) MeshAttribute\[\s*name = \"([^\"]+)\",\s*"
     r"scale = \"?([^\",\s\]]+)"
 )
-UNNAMED = re.compile(r"object_\d+")  # Mitsuba's name for what has none: an address, another one each time
+UNNAMED = re.compile(r"object_\d+")  # Mitsuba's name for a nameless object: an address, another one each time
 # Amounts of light or of a medium, by a part of a parameter's name; other parameters are positions and angles.
 AMOUNTS = re.compile(
     r"(^|\.)(radiance|irradiance|intensity|texture|data|scale|sun_scale|sky_scale|sampling_weight|sigma_t)(\.|$)"
@@ -95,7 +95,7 @@ def offset_share(scene: Any, extent: float) -> float:
 
 
 def offset_warning(scene: Any, extent: float) -> list[str]:
-    """What must be said of a scene that is small, or far from the origin, but not refused."""
+    """A warning about a scene that is small, or far from the origin, but not refused."""
     if (share := offset_share(scene, extent)) <= OFFSET_SAID:
         return []
     return [f"Mitsuba starts rays {share:.2%} of the scene's size off its surfaces, so that shadows and refraction "

@@ -1,7 +1,7 @@
 """A scene file nobody vouches for is loaded in a process of its own first: a crash of Mitsuba is one line here.
 
-The process stays for the next file, since it takes a second or two to start, and leaves by itself when none comes. What
-it survived is remembered by content, so that this happens once a file.
+The process stays for the next file, since it takes a second or two to start, and leaves by itself when none comes.
+Files it survived are remembered by content, so that each is tried once.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from sensor_model.files.own import remember, remembered
 from sensor_model.files.python import python
 from sensor_model.files.reading import brief
 
-FORMAT = "1"  # of what is tried; scenes that passed an earlier one are tried again
+FORMAT = "1"  # of the trial; scenes that passed an earlier one are tried again
 SECONDS = 600.0  # that loading may take; a scene of a gigabyte takes one minute
 _START = "from simscenes.loading.checks.trial_process import serve; serve()"
 
@@ -56,7 +56,7 @@ def check_survives(
 
 
 def _identity(files: Sequence[Path], variant: str) -> bytes:
-    """Content of all files with their places relative to the scene, and what loads them."""
+    """Content of all files with their places relative to the scene, and the code that loads them."""
     root = files[0].parent
     parts = [FORMAT, variant, *map(importlib.metadata.version, ("drjit", "mitsuba"))]
     for file in files:
@@ -77,14 +77,14 @@ class _Process:
             # It may leave in the moment in which it is asked: then a fresh one is asked.
             asked = {"scene": str(scene), "parameters": list(parameters)}
             answer = self._ask(asked) or self._ask(asked) or "!the process that tries it ends before it answers"
-        except BaseException:  # Ctrl-C: what is still to come must not be taken for the answer to the next question
+        except BaseException:  # Ctrl-C: a late answer must not be taken for the answer to the next question
             self.stop()
             raise
         failed = f"scene {scene.stem!r} cannot be loaded:"
         return f"{failed} {answer[1:]}" if answer.startswith("!") else answer.removeprefix("=")
 
     def _ask(self, asked: dict[str, Any]) -> str:
-        """The answer after a "=", what happened to the process after a "!", or "" if it had left before."""
+        """The answer after a "=", the fate of the process after a "!", or "" if it had left before."""
         process = self._alive()
         assert process.stdin is not None
         assert process.stdout is not None
@@ -117,7 +117,7 @@ class _Process:
         return self.running
 
     def stop(self) -> None:
-        """End it, whatever it is doing."""
+        """End it, even at work."""
         if self.running is not None:
             self.running.kill()
             self.running.communicate()

@@ -36,7 +36,7 @@ def serve() -> None:
         request = json.loads(line)
         try:
             os.chdir(request["cwd"])
-            os.environ[VARIABLE] = json.dumps(request["links"])  # this process may be older than what is allowed
+            os.environ[VARIABLE] = json.dumps(request["links"])  # this process may be older than the permission
             _limit_memory()
             answer = _tried(Path(request["scene"]), request["variant"], request["parameters"])
         except MemoryError:
@@ -69,7 +69,7 @@ def _look_at(scene: Any, mi: Any) -> None:
 
 
 def _limit_memory() -> None:
-    """Beyond what is free now, reservations fail; without this the kernel would end some process, perhaps ours."""
+    """Reservations beyond the memory now free fail; without this the kernel would end some process, perhaps ours."""
     try:
         used = int(re.findall(r"VmData:\s+(\d+) kB", Path("/proc/self/status").read_text())[0])
         free = int(re.findall(r"MemAvailable:\s+(\d+) kB", Path("/proc/meminfo").read_text())[0])

@@ -1,4 +1,4 @@
-"""Untrusted scene files: what they may read, what they may run, how much work they may cause."""
+"""Untrusted scene files: the files they may read, the plugins they may run, the work they may cause."""
 
 from __future__ import annotations
 
@@ -37,19 +37,19 @@ def check_xml(
     """Read a scene file as plain XML and refuse it if it reaches for files outside its own folder.
 
     Mitsuba reads included files and spectra while it parses, so this happens before it sees the file. A name that is
-    not found where Mitsuba searches is opened as it stands, from the working directory: that is outside as well.
+    not found where Mitsuba searches is opened verbatim, from the working directory: that is outside as well.
 
     Args:
         path: The scene file; a link is replaced by its target, in the target's folder.
         allow_outside: The file is trusted: it may name files and plugins anywhere, in any encoding.
-        parameters: What its $names stand for, (name, value), instead of its <default>s.
+        parameters: Values of its $names, (name, value), instead of its <default>s.
 
     Returns:
         The scene file, then all files that it and the files it includes name and that exist, links resolved.
 
     Raises:
         ValueError: If the file is not XML or not UTF-8, declares entities, names a file outside its folder, sets a
-            search path, asks for a plugin by a path, comes with plugins, lacks what a plugin needs, names a mesh
+            search path, asks for a plugin by a path, comes with plugins, lacks a part that a plugin needs, names a mesh
             or picture file that is cut short, or is too large or too deep.
     """
     path = resolved(path)
@@ -83,7 +83,7 @@ def searching_only(folder: Path, mi: Any) -> Iterator[None]:
 
 @contextmanager
 def searching_first(folder: Path, mi: Any) -> Iterator[None]:
-    """Let Mitsuba search this folder before all that it searches by itself."""
+    """Let Mitsuba search this folder before its own folders."""
     before = mi.file_resolver()
     more = mi.FileResolver(before)
     more.prepend(str(folder))
@@ -195,7 +195,7 @@ class _Reader:
             raise ValueError(f"scene objects hold each other in a circle: {' in '.join(error.args[1])}") from error
         if sizes.get("", 0) > MAX_OBJECTS:
             raise ValueError(f"scene has more than {MAX_OBJECTS} objects once its references are written out; "
-                             "refer to fewer of those that refer to others")  # fmt: skip
+                             "refer less often to objects with references of their own")  # fmt: skip
 
     def _count_include(self, path: Path) -> None:
         self.includes_left -= 1
@@ -205,7 +205,7 @@ class _Reader:
     def _spend(self, characters: int, path: Path) -> None:
         self.text_left -= characters
         if self.text_left < 0:
-            raise ValueError(f"scene file {path} with what it includes, all $parameters written out, is larger than "
+            raise ValueError(f"scene file {path} with its included files, all $parameters written out, is larger than "
                              f"{MAX_TEXT >> 20} MiB; keep meshes in files of their own")  # fmt: skip
 
     def _define(self, name: str, value: str, path: Path) -> None:
@@ -243,7 +243,7 @@ class _Reader:
             is_inside = tag != "path" and any(target.is_relative_to(folder) for folder in self.inside)
             linked = found is not None and tag != "path" and Path(os.path.abspath(found)).is_relative_to(self.root)
             is_inside |= linked and is_given(str(target))  # by a link of the folder to where links may lead
-        except OSError:  # too long for a path as it stands, but Mitsuba shortens before it opens
+        except OSError:  # too long for a path, but Mitsuba shortens it before it opens
             found, is_inside = None, "/" not in name
         if not self.trusted and not is_inside:
             shown = name if len(name) < 200 else f"{name[:200]}..."

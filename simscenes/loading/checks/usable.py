@@ -6,13 +6,13 @@ from typing import Any
 
 from simscenes.loading.contents import class_of
 
-# What a path tracer cannot use, by class.
+# Plugins that a path tracer cannot use, by class.
 UNUSABLE = {
     "DirectionalArea": (
         "a 'directionalarea' emitter, whose light no path from a camera can find; use 'area', 'spot' or 'projector'"
     ),
 }
-# What only spectral variants can read, by class; in RGB Mitsuba would find out in the middle of a render.
+# Plugins that only spectral variants can read, by class; in RGB Mitsuba would find out in the middle of a render.
 SPECTRAL = {
     "RegularSpectrum": "a 'regular' spectrum, which only spectral variants can read; write it as type 'spectrum' with "
     "pairs of wavelength and value",
@@ -23,11 +23,11 @@ SPECTRAL = {
 COLORS = frozenset({
     "base_color", "color0", "color1", "diffuse_reflectance", "diffuse_transmittance", "eta", "intensity", "irradiance",
     "k", "radiance", "reflectance", "specular_reflectance", "specular_transmittance", "transmittance",
-})  # fmt: skip  # textures that are asked for a colour, by their names in what uses them; the others for a number
+})  # fmt: skip  # textures asked for a colour, by their names in the plugin that uses them; others for a number
 
 
 def why_unusable(scene: Any, mi: Any) -> str:
-    """What Mitsuba would only find out while rendering, or never: the plugin and the reason; "" if all can be used.
+    """A fault that Mitsuba would only find while rendering, or never: the plugin and the reason; "" if all can be used.
 
     It says "spectral" if another variant can render it. The caller lets go of the scene before it raises: while an
     object that RGB cannot evaluate is alive, llvm and cuda render no other scene in RGB either.

@@ -1,4 +1,4 @@
-"""Print: pages of text in a serif type, and what stands on them."""
+"""Print: pages of text in a serif type, and their words."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What depth, cameras and points of a set say together: tracks, correspondence, and how far the views look."""
+"""Facts from depth, cameras and points of a set together: tracks, correspondence, and how far the views look."""

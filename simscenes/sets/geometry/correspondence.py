@@ -54,7 +54,7 @@ def flow_from_depth(rig: Rig, i: int, j: int, z_i: NDArray[Any], z_j: NDArray[An
 
 
 def seen_in(rig: Rig, pixels: NDArray[Any], depth: NDArray[Any], z: NDArray[Any]) -> NDArray[np.bool_]:
-    """Whether points that project to `pixels` [n,2] at `depth` [n] are in front of what a z-depth [h,w] shows."""
+    """Whether points that project to `pixels` [n,2] at `depth` [n] are in front of the surface of a z-depth [h,w]."""
     inside = (depth > 0) & (pixels >= 0).all(-1) & (pixels < (rig.width, rig.height)).all(-1)
     place = pixels[inside]
     x, y = np.floor(place).astype(int).T

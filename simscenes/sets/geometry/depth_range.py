@@ -12,7 +12,7 @@ from simscenes.rigs import Rig
 from simscenes.sets.geometry.tracks import SparsePoints
 from simscenes.sets.multiview import MultiviewSet
 
-PIXELS = 4096  # of a view are kept to count what lies outside a range
+PIXELS = 4096  # of a view are kept to count values outside a range
 STRAYS = (0.001, 0.999)  # quantiles that bound a view for LLFF
 
 Float = NDArray[np.float64]
@@ -20,7 +20,7 @@ Float = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Depths:
-    """z-depth and distance from the camera of what each view sees, evenly chosen [n_i] each, and all views' extremes.
+    """z-depth and distance from the camera of each view's surfaces, evenly chosen [n_i] each, and all views' extremes.
 
     Attributes:
         z: Of each view.
@@ -47,7 +47,7 @@ class Depths:
 
     @staticmethod
     def of_points(views: MultiviewSet, points: SparsePoints | None, truth: MultiviewSet | None = None) -> Depths:
-        """Likewise with the points given, as before a capture is there: `views` are those of the set, at its size.
+        """Likewise with the points given, as before a capture is there: `views` are the views of the set, at its size.
 
         Raises:
             ValueError: If the set has neither depth nor points, or a view sees nothing.

@@ -15,7 +15,7 @@ from simscenes.sets.geometry.tracks import SparsePoints, in_frame
 from simscenes.sets.multiview import MultiviewSet
 
 # Measured against the depth of tabletop and cornell, 4000 points, 16 views: of the observations inside the picture 82 %
-# and 91 % are true, of those that pass 98 % and 100 %, which are 86 % and 90 % of all true ones.
+# and 91 % are true, of the passing ones 98 % and 100 %. The passing ones are 86 % and 90 % of all true ones.
 FLIP = 100.0  # radius of the spherical flip in distances of the farthest point; 1000 is 92 % and 98 % right
 COLOR_TOLERANCE = 0.15  # sRGB codes of 0..1; noise and gloss stay below, another surface mostly does not
 
@@ -41,7 +41,7 @@ def with_tested_tracks(views: MultiviewSet, points: SparsePoints) -> SparsePoint
 
 
 def not_hidden(xyz: NDArray[np.float64], eye: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which points [P,3] of a surface can be seen from `eye` [3]: those on the hull of their spherical flip."""
+    """Which points [P,3] of a surface can be seen from `eye` [3]: the points on the hull of their spherical flip."""
     rays = xyz - eye
     distance = np.linalg.norm(rays, axis=1, keepdims=True)
     # A point in the eye itself has no direction; any will do, for it is in no picture.

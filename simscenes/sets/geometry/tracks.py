@@ -77,8 +77,8 @@ class SparsePoints:
             xyz: [P,3].
             rgb: [P,3].
             visible: [C,P]; projections outside the picture do not count as observations.
-            exact: Whether the points are known to lie there (a rendered surface): their error is then that of the
-                projections, which is rounding; otherwise it is unknown.
+            exact: Whether the points are known to lie there (a rendered surface): their error is then the rounding of
+                the projections; otherwise it is unknown.
         """
         points = SparsePoints.untracked(xyz, rgb)
         pixels, depths = rig.project(points.xyz)

@@ -1,4 +1,4 @@
-"""Image files of any kind: their size from the header, and their pixels, with a limit on what is decoded."""
+"""Image files of any kind: their size from the header, and their pixels, with a limit on decoding."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ from simscenes.sets.pictures.tiff import (
 )
 from simscenes.sets.pictures.whole import whole_content
 
-# 23,170 x 23,170: above any camera's (phones have 200 million), and 1.6 GB as 8-bit RGB. What a file declares beyond it
-# is refused before a byte is decoded, since a few kilobytes can declare a picture that fills any memory.
+# 23,170 x 23,170: above any camera's (phones have 200 million), and 1.6 GB as 8-bit RGB. A larger declared size is
+# refused before a byte is decoded, since a few kilobytes can declare a picture that fills any memory.
 MAX_PIXELS = 2**29
-# PIL knows some forty more, tries them on any file whatever it is called, and reserves what some of their headers say.
+# PIL knows some forty more, tries them on a file of any name, and reserves as much memory as some of their headers say.
 FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "WEBP", "PPM", "JPEG2000")
 _PIL = Lock()  # its limit is one number for the whole process
 _OPENCV = Lock()  # and so is how much OpenCV writes: the last of `_decoding` threads puts `_level` back
@@ -53,7 +53,7 @@ def image_size(file: Path) -> tuple[int, int]:
 
 @contextmanager
 def header(file: Path) -> Iterator[Any]:
-    """An image file as PIL opens it, whatever size it declares, with sides and pixels as stored.
+    """An image file as PIL opens it, of any declared size, with sides and pixels as stored.
 
     Raises:
         ValueError: If it is not an image.
@@ -128,7 +128,7 @@ def _quiet_opencv() -> Iterator[None]:
 
 
 def _decoded(file: Path, content: bytes, flags: int) -> Any:
-    # OpenCV turns TIFFs whatever its flags say, and multiplies 8-bit colours by alpha where the file has not done so.
+    # OpenCV turns TIFFs with any flags, and multiplies 8-bit colours by alpha where the file has not done so.
     changed = retagged(file, {ORIENTATION: AS_STORED, EXTRA_SAMPLES: PREMULTIPLIED})
     return cv2.imdecode(np.frombuffer(content if changed is None else changed, np.uint8), flags)
 
@@ -196,7 +196,7 @@ def _premultiplied(file: Path) -> bool:
 def _codes_with_alpha(file: Path) -> NDArray[np.float32]:
     """Codes [h,w,4] as stored, of a picture that PIL holds in 8 bits, red first, alpha last."""
     with header(file) as image:
-        if (mode := image.mode) == "La":  # gray multiplied by alpha, which PIL cannot convert as it is
+        if (mode := image.mode) == "La":  # gray multiplied by alpha, which PIL cannot convert directly
             return np.asarray(image, dtype=np.float32)[..., [0, 0, 0, 1]]
         if not mode.startswith(("I", "F")):  # of more bits, which PIL would cut off
             return np.asarray(image.convert("RGBA"), dtype=np.float32)

@@ -20,7 +20,7 @@ def read_png(path: Path) -> np.ndarray:
 
 
 def read_codes(path: Path) -> np.ndarray:
-    """Read an RGB image as it is stored, uint8 or uint16 [h,w,3].
+    """Read an RGB image as stored, uint8 or uint16 [h,w,3].
 
     Raises:
         ValueError: If the file is missing, unreadable, or of a different depth.
@@ -35,7 +35,7 @@ def read_codes(path: Path) -> np.ndarray:
 
 
 def write_png(path: Path, image: np.ndarray) -> None:
-    """Write [h,w,3] or, with alpha, [h,w,4]: integer codes as they are, floats in 0..1 as 8-bit ones, clipped.
+    """Write [h,w,3] or, with alpha, [h,w,4]: integer codes unchanged, floats in 0..1 as 8-bit ones, clipped.
 
     Raises:
         OSError: If the file cannot be written.

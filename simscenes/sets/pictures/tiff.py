@@ -1,11 +1,12 @@
 """TIFF files: the few tags that say what their pixels are, and content in which decoders find no reason to change them.
 
 libtiff, and OpenCV and PIL with it, turn pixels by the mark of orientation and multiply colours by alpha on their own,
-whatever flags they are given. The only sure way to pixels as stored is a file that does not ask for it.
+with any flags. The only sure way to pixels as stored is a file that does not ask for it.
 
 Why not tifffile, whose tags are the same in the tests: it keeps the values of every entry, however often an entry is
-repeated. A file of 1 MB takes 4 GB and 9 s so, here 16 MB and .06 s. What would guard it is as long as what is here: 40
-lines. Why not imagecodecs: OpenCV decodes the same kinds rightly, but for those that `misread` names, and has no 80 MB.
+repeated. A file of 1 MB takes 4 GB and 9 s so, here 16 MB and .06 s. A guard around it would be as long as the code
+here: 40 lines. Why not imagecodecs: OpenCV decodes the same kinds rightly, except the kinds that `misread` names, and
+has no 80 MB.
 """
 
 from __future__ import annotations
@@ -23,8 +24,8 @@ from sensor_model.files.door import PICTURE, opened, read_bytes
 KIND, WIDTH, HEIGHT = 254, 256, 257
 BITS, PHOTOMETRIC, ORIENTATION, PLANAR, TILE_WIDTH, EXTRA_SAMPLES, SAMPLE_FORMAT = 258, 262, 274, 284, 322, 338, 339
 TAGS = (KIND, WIDTH, HEIGHT, BITS, PHOTOMETRIC, ORIENTATION, PLANAR, TILE_WIDTH, EXTRA_SAMPLES, SAMPLE_FORMAT)
-REDUCED, MASK = 1, 4  # bits of KIND: a smaller copy of another picture, what is transparent of one
-MIN_IS_WHITE, MIN_IS_BLACK = 0, 1  # of PHOTOMETRIC: gray, by what its code 0 is
+REDUCED, MASK = 1, 4  # bits of KIND: a smaller copy of another picture, the transparent part of one
+MIN_IS_WHITE, MIN_IS_BLACK = 0, 1  # of PHOTOMETRIC: gray, by the meaning of its code 0
 SEPARATE = 2  # of PLANAR: each channel is stored as a picture of its own
 AS_STORED = 1  # the first row at the top, the first column at the left
 PREMULTIPLIED = 1  # the first extra sample is alpha, and colours are multiplied by it
@@ -49,7 +50,7 @@ class Tag:
 
 
 def tiff_tags(file: Path) -> dict[int, Tag]:
-    """Those of `TAGS` that the first picture of a TIFF file has; none of a file that is damaged or of another kind.
+    """The members of `TAGS` in the first picture of a TIFF file; none of a file that is damaged or of another kind.
 
     Raises:
         OSError: If it cannot be read.
@@ -96,7 +97,7 @@ def misread(file: Path, deep: bool) -> str:
     width, tile = (tags[tag].values[0] if tag in tags else 0 for tag in (WIDTH, TILE_WIDTH))
     gray = MIN_IS_BLACK in kind or MIN_IS_WHITE in kind
     if gray and tile and width % tile and (len(bits) > 1 or (most > 8 and not deep)):
-        return (f"is a TIFF of gray in tiles, whose width of {width} px is not a multiple of that of a tile, {tile} "
+        return (f"is a TIFF of gray in tiles, whose width of {width} px is not a multiple of a tile's, {tile} "
                 "px, which is not read at 8 bits: save it without tiles, or as PNG")  # fmt: skip
     if most <= 8 or not deep:
         return ""
@@ -114,7 +115,7 @@ def retagged(file: Path, values: Mapping[int, int]) -> bytes | None:
 
     Args:
         file: Any file.
-        values: What each tag must be, where the file has it.
+        values: The value each tag must have, where the file has it.
 
     Returns:
         The content; None where nothing had to be changed.
@@ -168,7 +169,7 @@ def _directories(source: BinaryIO) -> Iterator[dict[int, Tag]]:
 
 
 def _tags(source: BinaryIO, body: bytes, begin: int, order: str, long: str, size: int) -> Iterator[tuple[int, Tag]]:
-    """What stands in the entries of a directory, which begin at a place of a file of some size."""
+    """The entries of a directory, which begin at a place of a file of some size."""
     entry = struct.Struct(f"{order}HH{long}{long}")
     for at in range(0, len(body) - entry.size + 1, entry.size):
         tag, kind, number, where = entry.unpack_from(body, at)

@@ -1,7 +1,7 @@
-"""Whether a JPEG or PNG file is there to its end, and whether it or an EXR file can hold what it declares.
+"""Whether a JPEG or PNG file is there to its end, and whether it or an EXR file can hold the declared size.
 
-Decoders fill what is missing of a JPEG with grey and say nothing, and reserve what a damaged PNG or EXR file asks for:
-two gigabytes for a file of 300 bytes.
+Decoders fill missing parts of a JPEG with grey and say nothing, and reserve the memory that a damaged PNG or EXR file
+asks for: two gigabytes for a file of 300 bytes.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ EOI = 0xD9
 NEXT = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]")
 DEFLATE = 1032  # zlib cannot make data smaller than by this factor
 CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}  # by the colour type of a PNG
-# What the compressions of EXR, by their number, can shrink pixels by at most; runs of lossy ones only roughly.
+# The largest factor by which the compressions of EXR, by their number, can shrink pixels; runs of lossy ones only
+# roughly.
 SHRINKS = {0: 1, 1: 64, 2: DEFLATE, 3: DEFLATE, 4: 4 * DEFLATE, 5: 2 * DEFLATE, 6: 16, 7: 16}
 SHRINKS_MOST = 64 * DEFLATE  # all others
 BYTES = {0: 4, 1: 2, 2: 4}  # by the type of an EXR channel
@@ -57,7 +58,7 @@ def _reaches_end(content: bytes) -> bool:
 
 
 def _png_problem(content: bytes) -> str:
-    """What is wrong with a PNG as a row of chunks; "" if nothing is."""
+    """The fault of a PNG as a row of chunks; "" if nothing is."""
     at, kind, head, packed = len(PNG), b"", b"", 0
     while kind != b"IEND":
         length = int.from_bytes(content[at : at + 4], "big")
@@ -77,7 +78,7 @@ def _png_problem(content: bytes) -> str:
 
 
 def _exr_problem(content: bytes) -> str:
-    """What is wrong with the size of the first picture of an EXR file; "" if nothing is, or its header is damaged."""
+    """The fault in the size of the first picture of an EXR file; "" if nothing is, or its header is damaged."""
     try:
         header = _exr_header(content)
         left, top, right, bottom = struct.unpack("<4i", header[b"dataWindow"])

@@ -1,8 +1,8 @@
-"""Photographs without poses: which files they are, what their headers say of the camera, and their pixels.
+"""Photographs without poses: which files they are, the camera's entries in their headers, and their pixels.
 
-Poses refer to pixels as they are stored. A mark of orientation (EXIF) is therefore ignored: the camera's sensor is the
-same however it was held, and a pose includes the roll. Pictures stored upright among lying ones, or the other way
-round, are turned by 90 degrees; pictures of another size count as another camera, are scaled and cropped.
+Poses refer to pixels as stored. A mark of orientation (EXIF) is therefore ignored: the camera's sensor is the same
+however it was held, and a pose includes the roll. Pictures stored upright among lying ones, or the other way round, are
+turned by 90 degrees; pictures of another size count as another camera, are scaled and cropped.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Bare:
     Attributes:
         file: The image file.
         turned: Whether it is turned by 90 degrees, so that all pictures lie alike.
-        size: Width and height after turning and scaling, px; at least those of the whole set.
+        size: Width and height after turning and scaling, px; at least the size of the whole set.
         camera: Photographs with the same number share a lens and a size.
         focal: As the header states it, in px of `size`; None where it does not.
     """
@@ -63,7 +63,7 @@ class Bare:
 
 
 def picture_files(folder: Path) -> list[Path]:
-    """The photographs of a folder, sorted: those in it, else those in images/, else those in any folder below."""
+    """The photographs of a folder, sorted: directly in it, else in images/, else in any folder below."""
     for found in (folder.glob("*"), (folder / "images").glob("*"), folder.rglob("*")):
         hidden = (file for file in found if not any(p.startswith(".") for p in file.relative_to(folder).parts))
         files = sorted(file for file in hidden if file.suffix.lower() in SUFFIXES and file.is_file())
@@ -73,11 +73,11 @@ def picture_files(folder: Path) -> list[Path]:
 
 
 def survey(files: Sequence[Path], max_size: int | None) -> tuple[list[Bare], tuple[int, int]]:
-    """What is to be done to each photograph so that all become pictures of one size, and that size (width, height).
+    """How to bring each photograph to one common size, and that size (width, height).
 
     Args:
         files: At least one.
-        max_size: Longest side of the pictures, px; None: that of the most common size.
+        max_size: Longest side of the pictures, px; None: the longest side of the most common size.
 
     Raises:
         ValueError: If a file is not a readable image.
@@ -108,7 +108,7 @@ def _covering(size: tuple[int, int], most: tuple[int, int], common: tuple[int, i
 
 
 def _lens(file: Path) -> tuple[tuple[Any, ...], float | None]:
-    """What tells lenses apart in the header, and the 35 mm equivalent of the focal length."""
+    """Entries of the header that tell lenses apart, and the 35 mm equivalent of the focal length."""
     lens: tuple[Any, ...] = ()
     focal: float | None = None
     with header(file) as image, suppress(Exception):  # metadata of any kind of damage is as good as none

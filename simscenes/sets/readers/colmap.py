@@ -22,7 +22,7 @@ from simscenes.sets.readers.finding import spelt
 from simscenes.sets.readers.photographs import DistortedPinhole, Photographs, check_pose, collect, rescaled
 from simscenes.sets.readers.resized import named_pictures, picture_folder
 
-MASKS = "masks"  # where COLMAP's users and trainers of Gaussians keep what is to be left out of each picture
+MASKS = "masks"  # where COLMAP's users and trainers of Gaussians keep the areas to be left out of each picture
 
 
 def find_colmap(folder: Path) -> Path | None:
@@ -92,7 +92,7 @@ def read_points(pictures: Path, model: Path, files: Sequence[Path], rig: Rig) ->
     """The points of a COLMAP model and their tracks through some of its images; None if it has no points.
 
     Observations move with the pixels they were made in: through the model's own lens to the ray, and to the pixel that
-    the pinhole `rig` has there. Errors are those in the pixels of `rig`, where the model states any.
+    the pinhole `rig` has there. Errors are in pixels of `rig`, where the model states any.
 
     Args:
         pictures: Where the images of the model lie.
@@ -127,7 +127,7 @@ def read_points(pictures: Path, model: Path, files: Sequence[Path], rig: Rig) ->
 
 
 def read_reconstruction(model: Path) -> tuple[Any, dict[int, str]]:
-    """Open a COLMAP model with pycolmap, which is shown nothing that is cut short or refers to what is not there.
+    """Open a COLMAP model with pycolmap, which is shown nothing that is cut short or refers to missing entries.
 
     Returns:
         The model, and the name of each image by its number.

@@ -1,7 +1,7 @@
 """Whether a COLMAP model is whole, before pycolmap sees it: cut files and absurd counts make that hang or fill memory.
 
-Every count is compared with the bytes that are left in its file, and every number that refers to something with what is
-there. The formats: https://colmap.github.io/format.html, and for rigs and frames COLMAP 3.12.
+Every count is compared with the bytes that are left in its file, and every reference with the entries that exist. The
+formats: https://colmap.github.io/format.html, and for rigs and frames COLMAP 3.12.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ TRACK = np.dtype([("image", "<u4"), ("index", "<u4")])
 
 @dataclass
 class Model:
-    """What has to agree between the files."""
+    """The entries that must agree between the files."""
 
     cameras: set[int] = field(default_factory=set)
     seen: dict[int, NDArray[np.uint64]] = field(default_factory=dict)  # image -> point (or NONE) of each 2D point
@@ -88,7 +88,7 @@ def check_model(folder: Path) -> dict[int, str]:
         The name of each image by its number. pycolmap ends a name in a text file at the first space.
 
     Raises:
-        ValueError: Naming the file and what is wrong with it.
+        ValueError: Naming the file and its fault.
     """
     return _read_binary(folder) if model_suffix(folder) == "bin" else _read_text(folder)
 
@@ -263,7 +263,7 @@ def _read_text(folder: Path) -> dict[int, str]:
         for line, points_line in _image_lines(folder / "images.txt"):
             head, seen = line.split(maxsplit=9), points_line.split()  # the name, which is last, keeps its spaces
             _require(len(head) >= 10 and len(seen) % 3 == 0, f"has an incomplete line for image {head[0]}")
-            np.array(seen, np.float64)  # raises for what is not a number
+            np.array(seen, np.float64)  # raises for text that is no number
             points = np.array([int(word) % 2**64 for word in seen[2::3]], np.uint64)
             model.add_image(int(head[0]), int(head[8]), head[9], list(map(float, head[1:8])), points)
     if (folder / "points3D.txt").is_file():
@@ -292,7 +292,7 @@ def _lines(path: Path, what: str) -> list[list[str]]:
 
 
 def _image_lines(path: Path) -> list[tuple[str, str]]:
-    """The line of each image with that of its 2D points, which may be empty; COLMAP skips other empty lines."""
+    """The line of each image with the line of its 2D points, which may be empty; COLMAP skips other empty lines."""
     lines = _stripped(path)
     rest = (line for line in lines if not line.startswith("#"))
     pairs = [(line, next(rest, None)) for line in rest if line]

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from simscenes.sets.readers.bare import SUFFIXES
 
-# What a listed name may lack. Case decides here only where a folder holds several of them.
+# Suffixes that a listed name may lack. Case decides here only where a folder holds several of them.
 ADDED = ("", ".png", ".jpg", ".jpeg", ".JPG", ".JPEG", ".PNG")
 
 
@@ -23,7 +23,7 @@ def find_file(folder: Path, listed: str) -> Path | None:
 def find_files(folder: Path, listed: Sequence[str]) -> list[Path | None]:
     r"""The images that a camera file lists; None: not there.
 
-    A name is tried as it is, with / for \, with its suffix added, and in either form of Unicode. If none of these
+    A name is tried unchanged, with / for \, with its suffix added, and in either form of Unicode. If none of these
     exists, a file whose name differs only in case is taken, if there is just one and no other listed name has it.
 
     Args:
@@ -31,7 +31,7 @@ def find_files(folder: Path, listed: Sequence[str]) -> list[Path | None]:
         listed: The names.
 
     Raises:
-        ValueError: If a name cannot be that of a file.
+        ValueError: If a name cannot be a file's name.
     """
     found = [_exact(folder, name) for name in listed]
     taken = {file for file in found if file is not None}
@@ -44,7 +44,7 @@ def find_files(folder: Path, listed: Sequence[str]) -> list[Path | None]:
 
 
 def spelt(folder: Path, listed: Sequence[str], files: Sequence[Path | None]) -> list[str]:
-    """What a message calls listed images: their names, and of a missing one what is there under another suffix.
+    """What a message calls listed images: their names, and for a missing one the file found under another suffix.
 
     Args:
         folder: What the names are relative to.
@@ -69,7 +69,7 @@ def _exact(folder: Path, listed: str) -> Path | None:
 
 
 class _Folders(dict[Path, dict[str, list[Path]]]):
-    """What each folder holds by names in lower case; each is looked into once."""
+    """The files of each folder by names in lower case; each is looked into once."""
 
     def __missing__(self, folder: Path) -> dict[str, list[Path]]:
         self[folder] = defaultdict(list)

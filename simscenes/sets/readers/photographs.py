@@ -1,6 +1,6 @@
 """Posed photographs from elsewhere, as nerfstudio and instant-ngp list them: `transforms.json`.
 
-Whatever the source's lens, a reader returns the rig of the *undistorted* images and the lens that undoes distortion.
+For any lens of the source, a reader returns the rig of the *undistorted* images and the lens that undoes distortion.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from simscenes.sets.readers.finding import find_file as find_file
 from simscenes.sets.readers.finding import find_files, spelt
 from simscenes.sets.readers.split import SPLIT, split_of
 
-# What states a focal length along x and along y, in the order in which they count: px, rad, degrees.
+# Entries that state a focal length along x and along y, in the order in which they count: px, rad, degrees.
 FOCAL_X, FOCAL_Y = ("fl_x", "camera_angle_x", "x_fov"), ("fl_y", "camera_angle_y", "y_fov")
 FOCAL = (*FOCAL_X, *FOCAL_Y)
-# What is read of a camera file, of the whole set or of one frame.
+# Entries read from a camera file, of the whole set or of one frame.
 NUMBERS = (*FOCAL, "w", "h", "cx", "cy", "k1", "k2", "k3", "k4", "p1", "p2")
 LISTED = ("k1", "k2", "k3", "k4", "p1", "p2")  # in the order of nerfstudio's "distortion_params"
 LENS = dict.fromkeys((f"{key}?" for key in NUMBERS), float) | {
@@ -80,9 +80,9 @@ def _from_cv(K: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class Frame:
-    """An entry of a transforms.json but for its pose: its camera (over that of the file) and image.
+    """An entry of a transforms.json but for its pose: its camera (over the file's camera) and image.
 
-    `use` is what its file does with it; None: it does not say.
+    `use` is the purpose its file states for it; None: not stated.
     """
 
     camera: dict[str, Any]
@@ -133,9 +133,9 @@ def names_for_testing(source: Path) -> list[str]:
 
 
 def transforms_frames(source: Path) -> tuple[list[Frame], Poses]:
-    """The frames that a nerfstudio or instant-ngp transforms.json lists, checked, without those that it leaves out.
+    """The frames that a nerfstudio or instant-ngp transforms.json lists, checked, without the frames it leaves out.
 
-    Warnings say what it leaves out, and what of it is not used here.
+    Warnings name the frames it leaves out, and its entries that are not used here.
 
     Returns:
         The frames, and the pose of each: camera-to-world [4,4] in OpenGL axes.
@@ -156,7 +156,7 @@ def _all_frames(source: Path) -> tuple[list[Frame], Poses]:
 
 
 def _frames(source: Path) -> tuple[list[Frame], Poses, list[str]]:
-    """All frames of a file and their poses, checked, and what the user must know of them."""
+    """All frames of a file and their poses, checked, and notes for the user."""
     content = read_record(source, TRANSFORMS)
     split = split_of(content, source)
     shared = {key: value for key, value in content.items() if key != "frames"}
@@ -179,13 +179,13 @@ def _frames(source: Path) -> tuple[list[Frame], Poses, list[str]]:
 
 
 def _camera(shared: dict[str, Any], entry: dict[str, Any]) -> dict[str, Any]:
-    """What a frame says over what its file says, of which no focal length counts where the frame states one."""
+    """The frame's entries over the file's; none of the file's focal lengths counts where the frame states one."""
     own = any(key in entry for key in FOCAL)
     return {key: value for key, value in shared.items() if not (own and key in FOCAL)} | entry
 
 
 def check_pose(pose: NDArray[np.float64], where: str) -> None:
-    """Refuse what cannot be a camera's pose: [4,4] must be a rotation and a translation of usable size.
+    """Refuse matrices that cannot be a camera's pose: [4,4] must be a rotation and a translation of usable size.
 
     Raises:
         ValueError: Naming `where`.
@@ -198,12 +198,13 @@ def check_pose(pose: NDArray[np.float64], where: str) -> None:
 
 
 def listed(files: Sequence[Path | None], source: Path, names: Sequence[str] = ()) -> dict[str, int]:
-    """What is there of what `source` lists: its place in `files` by the name of the view, in the order of the views.
+    """The images that `source` lists and that exist: places in `files` by the name of the view, in the order of the
+    views.
 
     Args:
         files: The file of each image; None: not there.
         source: For messages.
-        names: What messages call the images, as `spelt` makes it; (): images that are missing are counted only.
+        names: Names of the images in messages, as `spelt` makes it; (): images that are missing are counted only.
 
     Raises:
         ValueError: If no photograph is there, or one file is listed twice. Missing ones are counted and named in one
@@ -242,7 +243,7 @@ def collect(
     lens_of: Callable[[Any, int, int], DistortedPinhole],
     names: Sequence[str] = (),
 ) -> Photographs:
-    """Bring what is there of what `source` lists to one pinhole rig.
+    """Bring the existing images that `source` lists to one pinhole rig.
 
     Args:
         files: The file of each image; None: not there.
@@ -324,7 +325,7 @@ def transforms_lens(camera: dict[str, Any], width: int, height: int, source: Pat
     """Intrinsics and distortion that a transforms.json states for images of this size.
 
     Args:
-        camera: A frame's entries over those of the whole file.
+        camera: A frame's entries over the entries of the whole file.
         width: Of the image, px.
         height: Of the image, px.
         source: The file, for messages.
@@ -353,7 +354,7 @@ def transforms_lens(camera: dict[str, Any], width: int, height: int, source: Pat
         raise ValueError(f"load_set: {source} needs a focal length as a number, got none of {', '.join(FOCAL)}")
     if not max(fx, fy) < RANGES["fl_x"][1]:
         raise ValueError(f"load_set: {source}: angles must give a focal length below {RANGES['fl_x'][1]:g} px, got "
-                         f"{max(fx, fy):.3g} px: correct those of {', '.join(FOCAL)}")  # fmt: skip
+                         f"{max(fx, fy):.3g} px: correct the given ones of {', '.join(FOCAL)}")  # fmt: skip
     cx, cy = (float(camera.get(key, side / 2)) for key, side in zip(("cx", "cy"), listed, strict=True))
     K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
     k1, k2, p1, p2, k3 = (float(camera.get(k, 0)) for k in ("k1", "k2", "p1", "p2", "k3"))

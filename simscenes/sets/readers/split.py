@@ -20,22 +20,23 @@ SPLIT = {f"{key}?": [str] for key in LISTS}
 
 @dataclass(frozen=True)
 class Split:
-    """Places of the frames for training and for testing, and what the user must know; the other frames are left out."""
+    """Places of the frames for training and for testing, and notes for the user; the other frames are left out."""
 
     train: frozenset[int]
     test: frozenset[int]
     notes: tuple[str, ...] = ()
 
     def use(self, place: int) -> Literal["train", "test", "none"]:
-        """What the frame at this place is for."""
+        """The purpose of the frame at this place."""
         return "train" if place in self.train else "test" if place in self.test else "none"
 
 
 def split_of(content: dict[str, Any], source: Path) -> Split | None:
     """The split that a transforms.json states; None: it states none. An empty list counts as none.
 
-    Tested are the frames of test_filenames, else those of val_filenames, else those that train_filenames lacks. Trained
-    on are those of train_filenames, else those that no list names. What is tested is not trained on.
+    Test frames are listed in test_filenames, else in val_filenames; else they are the frames that train_filenames
+    lacks. Training frames are listed in train_filenames; else they are the frames that no list names. No test frame is
+    trained on.
 
     Args:
         content: Of the file, checked.
@@ -85,7 +86,7 @@ def _named(places: Iterable[int], names: Sequence[str]) -> str:
 
 
 def places_of(entries: Sequence[str], names: Sequence[str], folder: Path) -> list[list[int]]:
-    """For each entry of a list the places in `names` of what it means; none: [].
+    """For each entry of a list the places in `names` of the frames it means; none: [].
 
     First the same text counts, then the same path, then the path with or without suffix, then the same file.
 

@@ -1,1 +1,1 @@
-"""What a set folder holds for other software, and copies of sets in the layouts of others."""
+"""Files of a set folder for other software, and copies of sets in the layouts of others."""

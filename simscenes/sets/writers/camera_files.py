@@ -52,10 +52,10 @@ def write_cameras(
         folder: Created if it is missing.
         names: File stems, one per camera, sorted as files (`names.file_of`).
         rig: The cameras.
-        points: Sparse points with their tracks and errors, which are written as they are.
+        points: Sparse points with their tracks and errors, which are written unchanged.
         held_out: Places of the views for testing; None: every 8th, from 0.
         depth_dir: Folder of the depth images of all views, relative to `folder`; None if the set has no depth.
-        scene: What the scene is called.
+        scene: The scene's name.
 
     Raises:
         ValueError: If names are not safe, different and sorted, or do not match the rig.
@@ -83,7 +83,7 @@ def write_cameras(
 
 
 def nerfbaselines_info(scene: str | None) -> dict[str, Any]:
-    """What nerfbaselines is told of a folder with a COLMAP model: its loader, and what the scene is called."""
+    """The facts for nerfbaselines about a folder with a COLMAP model: its loader, and the scene's name."""
     loader = {"loader": "colmap", "loader_kwargs": {"images_path": "images", "colmap_path": "sparse/0"}}
     return {**loader, "id": "novags", **({} if scene is None else {"scene": scene})}
 

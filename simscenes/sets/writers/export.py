@@ -23,7 +23,7 @@ from simscenes.sets.writers.layouts import Layout
 NERFBASELINES = "nerfbaselines.datasets.blender:load_blender_dataset"  # it has no short name there
 CENTRED = 0.01  # px that a principal point may be off without a word
 OFF_CENTRE = 0.02  # of the longer side, from which on it is another camera
-NEAR, FAR = 2.0, 6.0  # between which the readers of the Blender layout look, whatever the file says
+NEAR, FAR = 2.0, 6.0  # between which the readers of the Blender layout look, with any file
 
 
 def check_blender(rig: Rig) -> None:
@@ -47,7 +47,7 @@ def check_llff(rig: Rig) -> None:
                          f"{fx[i]:.2f} and {fy[i]:.2f} px. Use the set's own transforms.json")  # fmt: skip
     away, i = _off_centre(rig)
     if away > OFF_CENTRE * max(rig.width, rig.height):
-        raise ValueError(f"the LLFF layout has the principal point in the middle of the picture; that of view {i} is "
+        raise ValueError(f"the LLFF layout has the principal point in the middle of the picture; in view {i} it is "
                          f"{away:.2f} px away. Use the set's own transforms.json")  # fmt: skip
 
 
@@ -60,10 +60,10 @@ def _off_centre(rig: Rig) -> tuple[float, int]:
 def export_blender(views: MultiviewSet, folder: str | Path, *, truth: MultiviewSet | None = None) -> Path:
     """Write transforms_train.json, transforms_val.json and transforms_test.json, with RGBA images beside them.
 
-    The world is moved and scaled, x' = scene_scale (x - scene_center), so that the scene is about the origin and what
-    the pixels see lies between `NEAR` and `FAR`; both numbers are in every file. Alpha is 0 where a pixel's centre sees
-    no surface, which takes a rendered set; photographs are opaque. Of pictures that are not square nerfbaselines 1.2
-    puts the optical axis at row width / 2; other readers do not.
+    The world is moved and scaled, x' = scene_scale (x - scene_center), so that the scene is about the origin and
+    visible surfaces lie between `NEAR` and `FAR`; both numbers are in every file. Alpha is 0 where a pixel's centre
+    sees no surface, which takes a rendered set; photographs are opaque. Of pictures that are not square nerfbaselines
+    1.2 puts the optical axis at row width / 2; other readers do not.
 
     Args:
         views: The set, or a capture.
@@ -73,7 +73,7 @@ def export_blender(views: MultiviewSet, folder: str | Path, *, truth: MultiviewS
     Raises:
         ValueError: If the cameras are not all one centred pinhole, which is all this layout can describe. Where no
             scale can bring all of the scene between `NEAR` and `FAR`, a warning says how much stays outside; the world
-            stays as it is, with a warning, where it is not known how far away the scene is.
+            stays unchanged, with a warning, where it is not known how far away the scene is.
     """
     folder, rig = Path(folder), views.rig
     check_blender(rig)
@@ -101,7 +101,7 @@ def _frame(views: MultiviewSet, truth: MultiviewSet | None) -> tuple[float, NDAr
     try:
         scale, center, outside = Depths.of(views, truth).fit(NEAR, FAR)
     except ValueError as error:
-        warnings.warn(f"{error}; the Blender layout keeps the world as it is, though its readers look between "
+        warnings.warn(f"{error}; the Blender layout keeps the world unchanged, though its readers look between "
                       f"near {NEAR:g} and far {FAR:g} alone", stacklevel=3)  # fmt: skip
         return 1.0, np.zeros(3)
     if outside:
@@ -151,7 +151,7 @@ def export_llff(views: MultiviewSet, folder: str | Path, *, truth: MultiviewSet 
 
 
 def _write_image(views: MultiviewSet, i: int, folder: Path) -> None:
-    """The image of view `i` under its name: a copy, or what the cameras describe of a photograph."""
+    """The image of view `i` under its name: a copy, or the part of a photograph that the cameras describe."""
     source, target = views.files[i], folder / file_of(views.names[i])
     if source.suffix == target.suffix and views.lenses is None:
         with atomic(target) as temporary:

@@ -1,4 +1,4 @@
-"""What nerfstudio and instant-ngp want beside the cameras: points as PLY, depth as PNG, where the scene lies.
+"""Files that nerfstudio and instant-ngp want beside the cameras: points as PLY, depth as PNG, where the scene lies.
 
 nerfstudio: `ply_file_path` of a transforms.json (points in the world of its poses) and `depth_file_path` of every frame
 (z-depth, 16-bit PNG, times `depth_unit_scale_factor` = 0.001 unless told otherwise; 0 is unknown).
@@ -24,10 +24,10 @@ DEPTH_UNIT = 1e-3  # world units a code of a depth PNG: nerfstudio's millimetres
 CODES = 2**16  # of a 16-bit PNG
 LOST = 0.01  # share of the depths that may be unknown without a word
 FEW = 100  # codes, fewer than which a scene does not have without a word
-CORE = (0.05, 0.95)  # quantiles of the points: a few strays must not shrink what the unit cube holds
+CORE = (0.05, 0.95)  # quantiles of the points: a few strays must not shrink the content of the unit cube
 FILL = 0.9  # of the unit cube, by cameras and the core
 AABBS = tuple(2**i for i in range(8))
-BACKGROUND_AABB = 16  # where it is not known how far the scene goes: that of instant-ngp's own photographs
+BACKGROUND_AABB = 16  # where it is not known how far the scene goes: the value of instant-ngp's own photographs
 
 
 def write_points(path: Path, xyz: NDArray[np.floating], rgb: NDArray[np.uint8]) -> None:
@@ -52,7 +52,7 @@ def write_depth(path: Path, z: NDArray[np.float32]) -> None:
 
 @dataclass
 class DepthLoss:
-    """What the depth PNGs of a set lose of its z-depths, counted view by view."""
+    """The loss of a set's z-depths in its depth PNGs, counted view by view."""
 
     count: int = 0
     far: int = 0

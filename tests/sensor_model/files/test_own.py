@@ -36,7 +36,7 @@ def test_what_may_be_somebody_elses_is_refused(kind: str, tmp_path: Path, monkey
         (tmp_path / "folder").mkdir(0o700)
         given_to_another(tmp_path / "folder", monkeypatch)
     why = {"link": "is a link", "file": "is not a folder", "another's": "belongs to the user with number"}[kind]
-    with pytest.raises(OSError, match=f"folder {why}.*so what it holds could be somebody else's"):
+    with pytest.raises(OSError, match=f"folder {why}.*so its content could be somebody else's"):
         own_folder(tmp_path / "folder")
 
 

@@ -45,7 +45,7 @@ def test_bias_and_noise_add_as_squares() -> None:
     unknown = claimed(0.03, [0.3] * 4, default_plan(Optics()))
     assert math.isnan(unknown["error"])
     assert summary({"0000": found}) == "error 5.00% (noise 3.00%), 50.00% in the darkest quarter"
-    assert summary({"0000": unknown}) == "noise 3.00% (what is left out was not asked), 30.00% in the darkest quarter"
+    assert summary({"0000": unknown}) == "noise 3.00% (omitted light was not measured), 30.00% in the darkest quarter"
 
 
 def test_only_what_is_left_out_counts() -> None:

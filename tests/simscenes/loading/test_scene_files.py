@@ -36,7 +36,7 @@ def file_of(folder: Path, *parts: str) -> Path:
         ([("direct", {"bsdf_samples": 3})], OwnIntegrator("direct", 2, lost=("bsdf_samples 3",))),
         ([("ptracer", {"max_depth": 6})], OwnIntegrator("ptracer", 6, lost=("type 'ptracer'",))),
         ([("path", {"max_depth": 1})],
-         OwnIntegrator("path", 2, lost=("max_depth 1 (2, lamps and what they light, is the least)",))),
+         OwnIntegrator("path", 2, lost=("max_depth 1 (2, lamps and surfaces they light, is the least)",))),
         ([("sphere", {})], None),
     ],
 )  # fmt: skip
@@ -125,7 +125,7 @@ def test_sensors_that_no_pinhole_camera_can_stand_in_for_are_refused_with_the_re
     flat = VIEW.format("orthographic", 0).replace('<float name="fov" value="45"/>', "")
     with pytest.raises(
         ValueError,
-        match=r"sensor 1 of scene 'scene' must be .* it is OrthographicCamera .its rays are parallel, those of our",
+        match=r"sensor 1 of scene 'scene' must be .* it is OrthographicCamera .its rays are parallel, the rays of our",
     ):
         own_cameras(file_of(tmp_path, BALL, FRONT, flat))
     wide = FRONT.replace('name="width" value="8"', 'name="width" value="9"')

@@ -64,7 +64,7 @@ def test_any_file_names_give_views_that_keep_their_images_and_cameras(tmp_path: 
     assert listed[1].splitlines() == held_out == [file_of(views.names[i]) for i in views.test_indices]
     (out / "transforms.json").unlink()
     assert load_set(out).names == views.names  # from the COLMAP model
-    with pytest.warns(UserWarning, match="near and far of the views of .* not known.*keeps the world as it is"):
+    with pytest.warns(UserWarning, match="near and far of the views of .* not known.*keeps the world unchanged"):
         folder = export_blender(views, tmp_path / "blender")
     exported = json.loads((folder / "transforms_train.json").read_text())
     assert all((tmp_path / "blender" / f"{frame['file_path']}.png").is_file() for frame in exported["frames"])

@@ -85,7 +85,7 @@ def own_set(folder: Path, held_out: list[int] | None = None) -> Path:
 
 def test_our_own_export_is_read_back(tmp_path: Path) -> None:
     before = load_set(own_set(tmp_path / "set", [1, 4]))
-    with pytest.warns(UserWarning, match="keeps the world as it is"):  # it has neither depth nor points
+    with pytest.warns(UserWarning, match="keeps the world unchanged"):  # it has neither depth nor points
         after = load_set(export_blender(before, tmp_path / "blender"))
     assert after.names == before.names
     assert after.test_indices == before.test_indices == [1, 4]

@@ -261,7 +261,7 @@ def test_what_filters_change_is_measured_and_kept_whatever_spectra_change(
     assert found.contribution == pytest.approx(0.1)
     (lost, _), _ = color_effects(made_for_rgb(), Optics(), False, [], 0.25, measured)
     assert (lost.on, lost.contribution) == (False, np.inf)
-    assert lost.reason == "the scene holds LinearPolarizer, but also what is made for rgb alone"
+    assert lost.reason == "the scene holds LinearPolarizer, but also parts made for rgb alone"
 
 
 def test_what_rgb_cannot_load_is_followed_in_spectra(surfaces: Any) -> None:

@@ -76,12 +76,12 @@ SPECTRA, POLARISED = "spectral transport", "polarisation"
         (
             {SPECTRA: True},
             {"spectra": False},
-            "'spectral transport' is forced on, but the scene holds what is made for RGB alone",
+            "'spectral transport' is forced on, but the scene holds parts made for RGB alone",
         ),
         (
             {POLARISED: True},
             {"spectra": False},
-            "'polarisation' is forced on, but the scene holds what is made for RGB alone",
+            "'polarisation' is forced on, but the scene holds parts made for RGB alone",
         ),
         ({MIS: True, POLARISED: True}, {}, "'chromatic media' forced on needs 'polarisation' off, and that"),
         ({MIS: True, POLARISED: False}, {}, None),
@@ -89,7 +89,7 @@ SPECTRA, POLARISED = "spectral transport", "polarisation"
         ({MIS: False, FOG: False}, {}, None),
         ({DEEP: True, "indirect light": True}, {}, None),
         ({}, {"max_depth": 2, "media": False, "spectra": False, "optics": Optics()}, None),
-        ({}, {"max_depth": 1}, "max_depth must be at least 2 .lamps and what they light., got 1"),
+        ({}, {"max_depth": 1}, "max_depth must be at least 2 .lamps and surfaces lit., got 1"),
     ],
 )
 def test_wishes_are_granted_where_scene_and_camera_can(force: dict[str, bool], has: Any, said: str | None) -> None:

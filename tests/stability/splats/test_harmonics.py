@@ -128,7 +128,7 @@ def _poles() -> Array:
     return np.concatenate([axes, beside, [[1, 1, 1], [-1, 2, -0.5]]])
 
 
-@PART.case("poles and what is near them", bound=COLORS, unit=LARGEST, backends=BOTH)
+@PART.case("poles and directions near them", bound=COLORS, unit=LARGEST, backends=BOTH)
 def poles(setting: Setting) -> float:
     """Where an azimuth is undefined; the polynomials know nothing of it."""
     directions = _poles()
@@ -195,7 +195,7 @@ def test_harmonics_from_angles_are_noticed_at_the_poles(fails: Fails, monkeypatc
         return colors(degree, torch.stack([sine * azimuth.cos(), sine * azimuth.sin(), polar.cos()], -1), sh)
 
     monkeypatch.setattr(HERE, "sh_colors", from_angles)
-    assert fails("poles and what is near them")
+    assert fails("poles and directions near them")
 
 
 def test_a_length_without_its_floor_is_noticed(fails: Fails, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -207,7 +207,7 @@ def test_a_length_without_its_floor_is_noticed(fails: Fails, monkeypatch: pytest
 def test_half_precision_is_noticed(fails: Fails, monkeypatch: pytest.MonkeyPatch) -> None:
     colors = sh_colors
     monkeypatch.setattr(HERE, "sh_colors", lambda d, x, sh: colors(d, x, sh.bfloat16().float()))
-    for name in ("poles and what is near them", "directions of length 1e-9 to 1e15", "coefficients of 1e6"):
+    for name in ("poles and directions near them", "directions of length 1e-9 to 1e15", "coefficients of 1e6"):
         assert fails(name), name
 
 

@@ -1,4 +1,5 @@
-"""What tone curves share: every pixel by itself, one curve a picture. Pictures are sRGB code in 0..1, [H, W, 3].
+"""The common part of tone curves: every pixel by itself, one curve a picture. Pictures are sRGB code in 0..1, [H, W,
+3].
 
 None of them can tell noise from signal. Each chooses its curve from one picture, so neighbouring views get different
 curves; the parameters of a noisy picture bring its noise-free twin through the same curve.
@@ -34,6 +35,6 @@ def through(
 
 
 def geometric_mean_params(params: Sequence[Array]) -> Array:
-    """`Enhancer.typical` of factors and luminances; of pictures some of which are black, that of the others."""
+    """`Enhancer.typical` of factors and luminances; where some pictures are black, the mean of the others."""
     lit = [each for each in params if each.all()]
     return np.exp(np.log(lit).mean(0)) if lit else params[0]

@@ -43,6 +43,6 @@ def drago(dark: Tensor, config: DragoConfig, params: Array | None, noise: Varian
     """As `Enhancer.enhance`; the parameters are the log average and the maximum of the luminance [2].
 
     Deviations from the paper: black pixels count as 1e-4 of the brightest in the log average, and the result is encoded
-    by the sRGB curve, not by the paper's variant of that of Rec. 709.
+    by the sRGB curve, not by the paper's variant of the curve of Rec. 709.
     """
     return through(_adaptation, _by_drago, dark, config, params, noise)

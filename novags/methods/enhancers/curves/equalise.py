@@ -11,7 +11,7 @@ from novags.methods.noise import Variance
 
 
 def _distribution(code: Array, config: EqualiseConfig) -> Array:
-    """The lumas that occur, and the share of the pixels up to each, less that of the darkest, [2, N]."""
+    """The lumas that occur, and the share of the pixels up to each, less the share of the darkest, [2, N]."""
     lumas, counts = np.unique(code @ LUMINANCE, return_counts=True)
     share = (np.cumsum(counts) - counts[0]) / max(1, counts.sum() - counts[0])
     return np.stack([lumas, lumas if len(lumas) == 1 else share])

@@ -1,6 +1,6 @@
 """Weights that Keras saved as HDF5, read without a library: the one layout that Keras 2 writes, and nothing else.
 
-The format is that of the "HDF5 File Format Specification Version 2.0": superblock 0, groups as B-trees of version 1,
+The format follows the "HDF5 File Format Specification Version 2.0": superblock 0, groups as B-trees of version 1,
 object headers of version 1, and contiguous data sets of little-endian IEEE floats. A C library would read more, and
 break in C on damaged files.
 """
@@ -47,7 +47,7 @@ class _File:
         return self.object(self.at("<Q", 56 + 8)[0], "", 0)
 
     def object(self, place: int, path: str, depth: int) -> dict[str, Tensor]:
-        """A data set, or those in a group; each object is read once, so that a circle ends."""
+        """A data set, or the data sets in a group; each object is read once, so that a circle ends."""
         if place in self.seen or len(self.seen) > MOST or depth > DEEPEST:
             raise ValueError("its groups contain one another, or are too many")
         self.seen.add(place)

@@ -1,4 +1,4 @@
-"""Weights of networks on disk: official files, never unpickled freely, and those of this project's own trainings."""
+"""Weights of networks on disk: official files, never unpickled freely, and weights of this project's own trainings."""
 
 import argparse
 import hashlib
@@ -19,14 +19,14 @@ from sensor_model.files.reading import brief, reading
 REMEDY = "fetch or make it anew"
 LARGEST = 200_000_000  # bytes of a file; the largest network here has 20 MB
 KERAS = (".h5", ".hdf5")
-WRAPPERS = ("state_dict", "params")  # what official files keep their weights under
+WRAPPERS = ("state_dict", "params")  # keys under which official files keep their weights
 
 
 def read_weights(paths: Sequence[Path]) -> dict[str, Tensor]:
-    """The tensors of one or more files by name; those of parts of a network as "part.name".
+    """The tensors of one or more files by name; tensors of parts of a network as "part.name".
 
     Args:
-        paths: .safetensors, .h5 of Keras, or what `torch.save` wrote: of the latter only tensors, plain containers and
+        paths: .safetensors, .h5 of Keras, or a file of `torch.save`: of the latter only tensors, plain containers and
             `argparse.Namespace` are read, and no code is run.
 
     Raises:

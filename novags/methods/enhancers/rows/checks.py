@@ -1,4 +1,4 @@
-"""What several configurations refuse."""
+"""Checks that several configurations share."""
 
 
 def check_training(steps: int, rate: float, decay: float, batch: int, crop: int) -> None:

@@ -10,7 +10,7 @@ from sensor_model.files.registry import Later
 
 @dataclass(frozen=True, kw_only=True)
 class GainConfig(EnhancerConfig):
-    """A factor on the linear light, as a longer exposure would give; what exceeds white is clipped."""
+    """A factor on the linear light, as a longer exposure would give; light above white is clipped."""
 
     target: float = 0.5  # mean code
 

@@ -13,7 +13,7 @@ from sensor_model.files.registry import Later
 class GammaConfig(EnhancerConfig):
     """A power law of the codes."""
 
-    gamma: float | None = 0.2  # None: the one that brings the mean code to `target`
+    gamma: float | None = 0.2  # None: the exponent that brings the mean code to `target`
     target: float = 0.5
 
     def __post_init__(self) -> None:

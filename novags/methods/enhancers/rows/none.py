@@ -1,4 +1,4 @@
-"""No enhancement: the picture as it is."""
+"""No enhancement: the picture unchanged."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -17,4 +17,4 @@ def no_params(params: Any) -> None:
     """`Enhancer.typical`."""
 
 
-ENHANCER = Enhancer(type(None), unchanged, no_params, title="the pictures as they were taken")
+ENHANCER = Enhancer(type(None), unchanged, no_params, title="the pictures as taken")

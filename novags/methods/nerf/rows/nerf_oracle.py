@@ -1,4 +1,4 @@
-"""The ceiling of fields: what `nerf` is, from exposures without noise (`clean.py`)."""
+"""The ceiling of fields: `nerf`, from exposures without noise (`clean.py`)."""
 
 from novags.methods.nerf.config import NerfConfig, fit_parts
 from novags.methods.variant import Method

@@ -20,7 +20,7 @@ class LitaGsConfig:
         width: Channels of a denoising network.
         prior_weight: Of the structure.
         exposure: Mean code of lit patches.
-        exposure_weight: Of what patches are off it.
+        exposure_weight: Of the patches' distance from it.
         light_weight: Of the slopes of the illumination, where the colours have no edge.
         smooth_weight: Of the slopes of the lit picture in places where the structure has no edge.
         noise_weight: Of the size of the noise.

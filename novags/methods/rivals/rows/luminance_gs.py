@@ -17,10 +17,11 @@ class LuminanceGsConfig:
         pictures: Which pictures it sees.
         fit: Of the Gaussians; `fit.dssim_weight` is w.
         init_scale: Of an initial Gaussian, in distances to its nearest neighbours.
-        contrast: Local contrasts of the lit render, as a share of those of the dark picture brought to a mean of 1.
+        contrast: Local contrasts of the lit render, as a share of the contrasts of the dark picture brought to a mean
+            of 1.
         lit_weight: Of the lit render against the brightened picture.
         contrast_weight: Of the contrasts.
-        histogram_weight: Of what the curve is drawn to.
+        histogram_weight: Of the terms that shape the curve.
         curve_rate: Learning rate of the curve that all views share.
         attention_rate: Of the attention layers.
         axes_rate: Of the axes of colour.

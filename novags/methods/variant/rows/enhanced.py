@@ -1,4 +1,4 @@
-"""Variants of the methods that enhance, then fit: of the enhancement, or of what is fitted to it."""
+"""Variants of the methods that enhance, then fit: of the enhancement, or of the fit to it."""
 
 from novags.methods.variant import Variant
 

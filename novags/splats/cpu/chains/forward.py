@@ -9,10 +9,10 @@ from ..raster import bins, composite, harmonics, plain_channels, project, sort
 from ..raster.record import TILE
 from .stages import alone, done, parts, shared, wait
 
-# Numbers of a wave: its first depth rank, its Gaussians, those of the next one, (Gaussian, tile) pairs in the waves
+# Numbers of a wave: its first depth rank, its Gaussians, the next wave's Gaussians, (Gaussian, tile) pairs in the waves
 # before and in this one, whether the image is finished and the wave empty; and of the whole pass: visible Gaussians,
-# which of two buffers their order is in, a bound of the pairs, the smallest bits of a depth and how many bits differ.
-# A number is written once in a chain: a thread that comes late must find the same sizes as the others.
+# which of two buffers their order is in, a bound of the pairs, the smallest bits of a depth and how many bits differ. A
+# number is written once in a chain: a thread that comes late must find the same sizes as the others.
 FIRST, COUNT, LENGTH, BASE, TOTAL, FINISHED, VISIBLE, BUFFER, BOUND, LOW, BITS = range(11)
 NUMBERS = 11
 GRAIN_TILES = 2
@@ -178,7 +178,7 @@ def composite_wave(
         image: [H, W, D], of which the first four channels are written.
         alpha: [H, W].
         numbers: [NUMBERS] int64, of this wave.
-        following: Those of the next one, written.
+        following: Numbers of the next wave, written.
     """
     rows, _, _, _, counts = splats
     open_tiles, codes, starts, _, ends, finished = lists

@@ -1,9 +1,9 @@
-"""What chains are made of: kernels whose ranges threads take as they come, and parts that one thread does alone.
+"""Stages of chains: kernels whose ranges go to the next free thread, and parts that one thread does alone.
 
-Every thread that takes part runs the whole chain. `control` counts, for each stage, what was taken and what is done; no
-thread goes past a stage of which anything is still being worked on. A thread that comes late finds nothing left in the
-stages behind and runs through them; one that never comes is not waited for. So a chain is, like `parallel.run`, as fast
-as the threads that the operating system does schedule, and its results do not depend on who did what.
+Every thread that takes part runs the whole chain. `control` counts, for each stage, the parts taken and the parts done;
+no thread goes past a stage while any part of it is still being worked on. A thread that comes late finds nothing left
+in the stages behind and runs through them; one that never comes is not waited for. So a chain is, like `parallel.run`,
+as fast as the threads that the operating system does schedule, and its results do not depend on the sharing of work.
 """
 
 # mypy: allow-untyped-defs
@@ -18,7 +18,7 @@ from numba.extending import intrinsic
 
 from ..compiler import inline
 
-SLOT, DONE = 16, 8  # int64 per stage, of which the first counts what was taken and the one at DONE what is done;
+SLOT, DONE = 16, 8  # int64 per stage, of which the first counts parts taken and the one at DONE parts done;
 # either has a cache line of its own
 PATIENCE, NAP = 2000, 100  # tries, about half a millisecond; microseconds
 STAGES = 32  # of the longest chain
@@ -38,7 +38,7 @@ def give_up(control: np.ndarray) -> None:
 
 @intrinsic
 def _fetch_add(typingctx, array, index, value):
-    """Add to an element of a flat int64 array, atomically; returns what it was before."""
+    """Add to an element of a flat int64 array, atomically; returns the value before."""
 
     def codegen(context, builder, sig, args):
         data = context.make_array(sig.args[0])(context, builder, args[0]).data
@@ -87,13 +87,13 @@ def wait(control, stage, n):
 
 @inline
 def alone(control, stage):
-    """Whether this thread is the one to do a stage of one item; it then has to call `done`, and all have to `wait`."""
+    """Whether this thread has to do a stage of one item; it then has to call `done`, and all have to `wait`."""
     return _fetch_add(control, stage * SLOT, 1) == 0
 
 
 @inline
 def done(control, stage):
-    """Mark what one thread does `alone` as done."""
+    """Mark a stage that one thread does `alone` as done."""
     _fetch_add(control, stage * SLOT + DONE, 1)
 
 

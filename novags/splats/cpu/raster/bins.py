@@ -75,7 +75,7 @@ def find_open(begin, end, finished, tiles_x, tiles_y, open_tiles):
 
 @kernel
 def first_grids(begin, end, rows, order, first, n_chunks, n, tiles_x, tiles_y, open_tiles, codes):
-    """Find what the first grid of each Gaussian of depth rank first..first+n-1 reaches, in n_chunks chunks.
+    """Find the tiles that the first grid of each Gaussian of depth rank first..first+n-1 reaches, in n_chunks chunks.
 
     codes [n] int64 hold bits of tiles | MORE if its box takes more grids | corner tile * CORNER. A loop of its own,
     because then the latency of one Gaussian hides behind the next.

@@ -82,7 +82,7 @@ def _start_tile(trans, color, last, tile, x0, y0, width, height):
 def forward(
     begin, end, rows, members, starts, ends, base, width, height, tiles_x, trans, color, last, reached, finished
 ):
-    """Composite tiles begin..end-1 behind what they hold; behind nothing if base, the number of earlier entries, is 0.
+    """Composite tiles begin..end-1 behind their content; behind nothing if base, the number of earlier entries, is 0.
 
     Reads the flat rows [N * ROW] and lists members[starts[tile] : ends[tile]]. Changes the tile state; ends becomes
     one past the last entry that was looked at, reached [I] uint16 the bits of the blocks to which an entry

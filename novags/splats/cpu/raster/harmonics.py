@@ -110,7 +110,7 @@ def forward(begin, end, degree, means, sh, center, depths, depth_gain, radii, ro
 
 @inline
 def _basis_backward(degree, x, y, z, v, axis):
-    """Gradient of one component of the direction from that of the basis, columns v."""
+    """Gradient of one component of the direction from the basis's gradient, columns v."""
     total = splat(ZERO)
     if degree >= 1:
         v1, v2, v3 = load(v, LANES), load(v, 2 * LANES), load(v, 3 * LANES)

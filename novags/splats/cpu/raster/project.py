@@ -15,7 +15,7 @@ MARGIN = np.float32(0.15)  # of the image size beyond its border: where gsplat s
 MAX_RADIUS = np.float32(2**30)  # still an int32
 INFINITY, LARGEST = np.float32(np.inf), np.finfo(np.float32).max
 EVEN = np.float32(1e23)  # px^2: variance of a splat whose exponent falls by less than rounding over any image
-CLOSE = np.float32(1e5)  # px: what falls so little over an image does so seen from this far, too
+CLOSE = np.float32(1e5)  # px: a splat that falls so little over an image does so seen from this far, too
 PER_TILE = np.float32(1 / TILE)
 INPUTS = 11  # per Gaussian: mean 3, quaternion 4, scale 3, opacity
 GRAIN = 512  # Gaussians per range
@@ -120,7 +120,7 @@ def _footprint(m, eps):
 
 @inline
 def _dilation(m, eps):
-    """The determinant of M M^T as a sum of squares, and what the dilation adds to it over it; see `_footprint`."""
+    """The determinant of M M^T as a sum of squares, and the share that the dilation adds to it; see `_footprint`."""
     m00, m01, m02, m10, m11, m12 = m
     rows = m00 * m00 + m01 * m01 + m02 * m02 + (m10 * m10 + m11 * m11 + m12 * m12)
     d01, d02, d12 = m00 * m11 - m01 * m10, m00 * m12 - m02 * m10, m01 * m12 - m02 * m11
@@ -189,7 +189,7 @@ def _project(c, b, out, rest):
     visible = visible & (px + rx > ZERO) & (px - rx < c[WIDTH]) & (py + ry > ZERO) & (py - ry < c[HEIGHT])
     extent = minimum(maximum(ceil(maximum(rx, ry)), ONE), MAX_RADIUS)
     visible = visible & (extent > c[RADIUS_CLIP])
-    # what is seen must have a direction, too: that of its colour is divided by this length
+    # a visible Gaussian must have a direction, too: the direction of its colour is divided by this length
     good = good & (select(visible, x * x + y * y + z * z, ZERO) < INFINITY)
     radius = select(visible, extent, ZERO)
 

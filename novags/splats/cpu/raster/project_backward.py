@@ -128,7 +128,7 @@ def _keep(b, column, seen, value):
 
 @inline
 def _covariance_backward(a, k, q, v_a, v_k, v_q, eps, m):
-    """Gradient of M = J W R S (2x3, row by row) from that of the footprint."""
+    """Gradient of M = J W R S (2x3, row by row) from the footprint's gradient."""
     m00, m01, m02, m10, m11, m12 = m
     inv_det = a * q  # a = c_yy / det and q = 1 / c_yy
     v_det = -a * inv_det * v_a
@@ -149,7 +149,7 @@ def _covariance_backward(a, k, q, v_a, v_k, v_q, eps, m):
 
 @inline
 def _compensation_backward(g, eps, m):
-    """Gradient of m from g, that of ln peak, through ln sqrt(det / det dilated) alone."""
+    """Gradient of m from g, the gradient of ln peak, through ln sqrt(det / det dilated) alone."""
     m00, m01, m02, m10, m11, m12 = m
     sharp, dilation = _dilation(m, eps)
     d01, d02, d12 = m00 * m11 - m01 * m10, m00 * m12 - m02 * m10, m01 * m12 - m02 * m11
@@ -165,7 +165,7 @@ def _compensation_backward(g, eps, m):
 
 @inline
 def _rotation_backward(r, t, h):
-    """Gradient of the unnormalised quaternion from h, that of T R."""
+    """Gradient of the unnormalised quaternion from h, the gradient of T R."""
     w, x, y, z, inv = r[9], r[10], r[11], r[12], r[13]
     v00, v01, v02 = t[0] * h[0] + t[3] * h[3], t[0] * h[1] + t[3] * h[4], t[0] * h[2] + t[3] * h[5]
     v10, v11, v12 = t[1] * h[0] + t[4] * h[3], t[1] * h[1] + t[4] * h[4], t[1] * h[2] + t[4] * h[5]

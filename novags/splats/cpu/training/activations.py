@@ -38,7 +38,7 @@ def forward(begin, end, is_sigmoid, inputs, outputs, sums):
 
 @kernel
 def backward(begin, end, is_sigmoid, outputs, v_outputs, v_mean, v_inputs):
-    """Gradient of the inputs from that of the outputs and, times v_mean, of each output's share in their mean."""
+    """Gradient of the inputs from the outputs' gradient and, times v_mean, of each output's share in their mean."""
     for block in range(begin, end):
         for i in range(block * BLOCK, min(len(outputs), (block + 1) * BLOCK)):
             slope = outputs[i] * (ONE - outputs[i]) if is_sigmoid else outputs[i]

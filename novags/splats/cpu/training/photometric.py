@@ -14,7 +14,7 @@ from ..compiler import inline, kernel
 from ..vectors.simd import LANES, constant, load, select, splat, store
 
 WINDOW, HALF_WINDOW = 11, 5
-MOMENTS, SLOPES = 5, 3  # means of x, y, x^2, y^2, x y; derivatives of the score by those of x, x^2, x y
+MOMENTS, SLOPES = 5, 3  # means of x, y, x^2, y^2, x y; derivatives of the score by the means of x, x^2, x y
 ZERO, ONE, TWO = np.float32(0.0), np.float32(1.0), np.float32(2.0)
 C1, C2 = np.float32(0.01**2), np.float32(0.03**2)
 LANE = constant(list(range(LANES)))

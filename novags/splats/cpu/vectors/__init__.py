@@ -1,1 +1,1 @@
-"""What kernels compute with: vectors of sixteen float32."""
+"""The arithmetic of kernels: vectors of sixteen float32."""

@@ -104,7 +104,7 @@ def transpose(typingctx, source, at, stride, target, target_at, target_stride):
 
 @inline
 def gather3(rows, first, count, columns, column):
-    """`count` rows of rows [N, 3] to three columns; lanes from `count` on keep what they hold."""
+    """`count` rows of rows [N, 3] to three columns; lanes from `count` on keep their values."""
     if count == LANES:
         to_columns3(rows.reshape(-1), 3 * first, columns, column)
         return

@@ -1,1 +1,1 @@
-"""What moves Gaussians and cameras from one iteration to the next."""
+"""Steps that move Gaussians and cameras from one iteration to the next."""

@@ -22,7 +22,7 @@ class Adam:
 
     def __init__(self, gaussians: Gaussians) -> None:
         self.count = 0
-        # Contiguous whatever the tensors are: like them the moments are updated in place.
+        # Contiguous for any tensors: like them the moments are updated in place.
         zeros = partial(torch.zeros_like, memory_format=torch.contiguous_format)
         self.first = {name: zeros(tensor) for name, tensor in gaussians.tensors().items()}
         self.second = {name: zeros(tensor) for name, tensor in gaussians.tensors().items()}
@@ -96,7 +96,7 @@ def _update_torch(
     value: Tensor, gradient: Tensor, first: Tensor, second: Tensor, rate: float | Tensor, correction1: float,
     correction2: float,
 ) -> None:  # fmt: skip
-    """What the CPU's kernel does, on any device; a tensor of rates holds those of the first columns."""
+    """The CPU kernel's update, on any device; a tensor of rates holds the rates of the first columns."""
     if isinstance(rate, Tensor):
         value, gradient, first, second = (t[:, : len(rate)] for t in (value, gradient, first, second))
         rate = rate.to(value.device)

@@ -63,7 +63,7 @@ def refined(viewmats: Tensor, twists: Tensor, extent: float) -> Tensor:
 
 @torch.no_grad()
 def move_cameras(state: CameraState, config: CameraRefinement, factor: float) -> None:
-    """One Adam step, in place, of the cameras that had a part in the loss: those with a gradient.
+    """One Adam step, in place, of the cameras that had a part in the loss: cameras with a gradient.
 
     Args:
         state: Its `twists.grad` [C, 6] is used up.

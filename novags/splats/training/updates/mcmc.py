@@ -15,7 +15,7 @@ DEAD_OPACITY = 0.005  # at or below, a Gaussian shows nothing and is moved
 # In extents of the scene. Noise grows with the covariance: a faint haze of ten extents would be thrown a thousand away.
 FARTHEST = 1.0
 NODES, REACH = 128, 7.0  # trapezoid rule of the relocation integral; exp(-7^2) is below one float64 step
-ROWS = 16_384  # whose integrands are evaluated at once: at 1 KB a Gaussian, those of all seeds would take gigabytes
+ROWS = 16_384  # whose integrands are evaluated at once: at 1 KB a Gaussian, all seeds at once would take gigabytes
 
 
 def relocation(opacities: Tensor, copies: Tensor) -> tuple[Tensor, Tensor]:

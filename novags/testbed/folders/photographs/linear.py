@@ -92,7 +92,7 @@ class _Model:
     cameras: list[Any]
     size: Callable[[Any], tuple[int | None, int | None]]  # that a camera states, px
     lens: Callable[[Any, int, int], DistortedPinhole]
-    names: Sequence[str]  # what messages call the files
+    names: Sequence[str]  # name of the files in messages
     tested: set[Path] = field(default_factory=set)  # files that it holds out
 
 

@@ -1,4 +1,4 @@
-"""Camera raw files (DNG, NEF, CR2, ARW ...) through LibRaw: the mosaic as it was read out, or developed linear RGB."""
+"""Camera raw files (DNG, NEF, CR2, ARW ...) through LibRaw: the mosaic as read out, or developed linear RGB."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -49,13 +49,13 @@ def read_mosaic(path: Path) -> Mosaic:
 
 @dataclass(frozen=True)
 class RawFormat:
-    """What a raw file says about its codes and colours."""
+    """Facts about codes and colours in a raw file."""
 
     shape: tuple[int, ...]  # [h,w] of a mosaic, [h,w,3] of three chips
     cfa: Cfa | None  # None: every pixel has all three channels
     black: tuple[float, ...]  # DN, of each place in the 2 x 2 cell, row by row; of three chips, of each channel
     white: float  # DN
-    response: tuple[float, float, float]  # of the camera's channels to what the camera took for white, green = 1
+    response: tuple[float, float, float]  # of the camera's channels to the camera's white, green = 1
     color_matrix: np.ndarray | None  # [3,3], white-balanced camera RGB -> linear sRGB; None: they are the same
     time: float | None  # s
 
@@ -107,7 +107,7 @@ def _stated(raw: Any, name: str) -> float | None:
 
 
 def _response(raw: Any, path: Path) -> tuple[float, float, float]:
-    """The inverse of the factors that balance white: those of the exposure, else of daylight, else equal ones."""
+    """The inverse of the factors that balance white: the exposure's, else daylight's, else equal ones."""
     for found in (raw.camera_whitebalance, raw.daylight_whitebalance):
         red, green, blue = (float(f"{v:.6g}") for v in found[:3])  # LibRaw keeps them in float32
         if min(red, green, blue) > 0:
@@ -118,7 +118,9 @@ def _response(raw: Any, path: Path) -> tuple[float, float, float]:
 
 
 def _color_matrix(raw: Any, path: Path) -> np.ndarray | None:
-    """That of the file, which a DNG states, else that of the camera's model, which LibRaw knows of most others."""
+    """The matrix in the file, which a DNG states, else the matrix of the camera's model, which LibRaw knows of most
+    others.
+    """
     matrix = np.array(raw.color_matrix, np.float64)[:3, :3]
     if not matrix.any():
         matrix = _of_model(np.array(raw.rgb_xyz_matrix, np.float64)[:3])
@@ -130,9 +132,9 @@ def _color_matrix(raw: Any, path: Path) -> np.ndarray | None:
 
 
 def _of_model(xyz_to_camera: np.ndarray) -> np.ndarray:
-    """White-balanced camera RGB -> linear sRGB, [3,3], of what LibRaw states of a model; zeros if it states nothing."""
+    """White-balanced camera RGB -> linear sRGB, [3,3], of a model by LibRaw; zeros if it states nothing."""
     filters = xyz_to_camera @ np.linalg.inv(XYZ_TO_SRGB)
-    white = filters.sum(1, keepdims=True)  # what the balance makes 1
+    white = filters.sum(1, keepdims=True)  # the level that the balance makes 1
     if not (white > 0).all() or np.linalg.matrix_rank(filters) < 3:
         return np.zeros((3, 3))
     return np.linalg.inv(filters / white)
@@ -164,7 +166,7 @@ def _pattern(raw: Any, path: Path) -> Cfa | None:
 def read_radiance(path: Path) -> np.ndarray:
     """Linear sRGB float32 [h,w,3], 1 = white level: black level, white balance, AHD demosaicing, colour matrix.
 
-    The balance is that of `read_format`, so that LibRaw does not make each picture grey where a file states none.
+    The balance comes from `read_format`, so that LibRaw does not make each picture grey where a file states none.
     Pixels stay as stored (no rotation), because poses refer to the stored pixels.
 
     Raises:
@@ -184,7 +186,7 @@ def read_radiance(path: Path) -> np.ndarray:
 
 
 def size(path: Path) -> tuple[int, int]:
-    """Width and height of what `read_radiance` returns, from the header alone.
+    """Width and height of the result of `read_radiance`, from the header alone.
 
     Raises:
         ValueError: If the file cannot be read.
@@ -194,11 +196,11 @@ def size(path: Path) -> tuple[int, int]:
 
 
 def _check_whole(raw: Any, path: Path) -> None:
-    """Refuse what LibRaw makes of a file whose end is missing or full of zeros: it says nothing in many formats.
+    """Refuse the pixels of a file whose end is missing or full of zeros: LibRaw says nothing in many formats.
 
     Every code has noise, so that a row repeats its first two (of a mosaic, one for each filter) only where all of it is
-    clipped, or as black as noise below a code leaves it. What is missing is the last rows: others may be the blank sky
-    of a simulated camera without noise.
+    clipped, or as black as noise below a code leaves it. The last rows are missing: others may be the blank sky of a
+    simulated camera without noise.
 
     Raises:
         ValueError: If too many of the last rows hold such codes that are neither black nor clipped.

@@ -16,7 +16,7 @@ MOST = 100_000  # frames that are counted on; a damaged header can announce any 
 
 
 def is_video(path: Path) -> bool:
-    """Whether a file's name is that of a video."""
+    """Whether a file is named like a video."""
     return path.suffix.lower() in VIDEOS and path.is_file()
 
 
@@ -34,7 +34,7 @@ def write_frames(video: Path, fps: float, folder: Path, progress: Update) -> dic
     """
     import cv2
 
-    # FFmpeg says what it thinks of a damaged film on standard error, in the film's own characters. Read at first use.
+    # FFmpeg complains of a damaged film on standard error, in the film's own characters. Read at first use.
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # AV_LOG_QUIET
     reader = cv2.VideoCapture(admitted(video, most=VIDEO))
     try:

@@ -1,6 +1,6 @@
-"""The published data sets, one row each, and which of them a folder is of. What is known of each: docs/real-data.md.
+"""The published data sets, one row each, and which of them a folder is of. Facts about each: docs/real-data.md.
 
-A scene is a folder. LOM is known by what its scenes hold; the others hold what many folders hold, so that a folder
+A scene is a folder. LOM is known by the content of its scenes. The others look like many folders, so that a folder
 above has to bear the name of the data set, in upper or lower case.
 """
 
@@ -14,8 +14,8 @@ from novags.testbed.importing.split import Split
 from sensor_model.files.reading import some
 from simscenes.sets.multiview import MultiviewSet
 
-DEPTH = 4  # folders below the one that is searched
-NEAR = 3  # folders above a scene whose names count: farther up a name says where somebody works, not on what
+DEPTH = 4  # folders below the searched one
+NEAR = 3  # folders above a scene whose names count: farther up a name says where somebody works, not on which data
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,8 +26,8 @@ class Dataset:
         name: As its authors write it.
         home: Where it is available.
         layout: A scene in a few words.
-        named: Whether a folder above a scene bears the name; else what the scene holds is enough.
-        fits: Whether a folder holds what a scene does.
+        named: Whether a folder above a scene bears the name; else the content of the scene is enough.
+        fits: Whether a folder holds the files of a scene.
         open_scene: The dark pictures of a scene with their cameras.
         lit: The folder of a scene's well-lit pictures; None if it has none.
         by_order: Lit and dark pictures pair by the order of their names, not by their names.
@@ -117,7 +117,7 @@ def _owner(folder: Path) -> str | None:
 
 
 def expected(names: Iterable[str]) -> str:
-    """Where these data sets are available, and what a scene of each holds; for messages."""
+    """Where these data sets are available, and the content of a scene of each; for messages."""
     return "; ".join(f"{name}: {DATASETS[name].layout} ({DATASETS[name].home})" for name in names)
 
 

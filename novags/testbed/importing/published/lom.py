@@ -41,7 +41,7 @@ class LomScene(MultiviewSet):
 
 @dataclass
 class _View:
-    """What the JSON files list of one picture."""
+    """The entry of one picture in the JSON files."""
 
     frame: Frame
     pose: NDArray[np.float64]  # camera-to-world [4,4], OpenGL axes
@@ -98,7 +98,9 @@ def _listed(folder: Path) -> dict[str, _View]:
 
 
 def _photographs(folder: Path, views: dict[str, _View], dark: dict[str, Path]) -> tuple[Photographs, Path | None]:
-    """The listed views with the cameras of the model, if it has all of them, else with those of the JSON files."""
+    """The listed views with the cameras of the model, if it has all of them, else with the cameras of the JSON
+    files.
+    """
     files = [dark.get(stem) for stem in views]
     model = next((path for path in (folder / MODEL / "0", folder / MODEL) if is_model(path)), None)
     if model is not None:

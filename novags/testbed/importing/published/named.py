@@ -1,4 +1,4 @@
-"""Scenes of published data sets by name, for study files: "data:LOM/buu", or "data:LOM/*" for all that are there.
+"""Scenes of published data sets by name, for study files: "data:LOM/buu", or "data:LOM/*" for all scenes there.
 
 `--data` names the folder below which they are looked for. A data set that is not there leaves no run; it is said.
 """
@@ -21,7 +21,7 @@ class DataFolder:
 
     Attributes:
         root: The folder that --data named; None: none.
-        scenes: What lies below it, "LOM/buu" -> its folder.
+        scenes: The scenes below it, "LOM/buu" -> its folder.
     """
 
     root: Path | None = None
@@ -29,7 +29,7 @@ class DataFolder:
 
     @staticmethod
     def of(root: Path | None) -> "DataFolder":
-        """What lies below a folder.
+        """The scenes below a folder.
 
         Raises:
             ValueError: If there is no such folder, or two scenes of a data set have one name.
@@ -72,6 +72,6 @@ class DataFolder:
         return [name for name in DATASETS if name.lower() in named and name not in there]
 
     def nothing(self, absent: list[str]) -> str:
-        """What to say where nothing but these is named."""
+        """The message where nothing but these is named."""
         return (f"{self.root} holds none of {', '.join(absent)}: download them into folders of their names. Expected "
                 f"for each scene: {expected(absent)}")  # fmt: skip

@@ -33,7 +33,7 @@ def open_scene(folder: Path, split: Split) -> MultiviewSet:  # none of these dat
 
 
 def lit_inside(folder: Path) -> Path | None:
-    """The folder of the well-lit pictures inside a scene's, whatever case its name is in."""
+    """The folder of the well-lit pictures inside a scene's, its name in upper or lower case."""
     below = {path.name.lower(): path for path in sorted(folder.iterdir()) if path.is_dir()}
     return next((below[name] for name in LIT_INSIDE if name in below), None)
 

@@ -1,4 +1,4 @@
-"""How to do it again: what failed, what differs from the published methods, commands, configurations, versions."""
+"""How to do it again: failures, differences from the published methods, commands, configurations, versions."""
 
 import json
 from typing import Any
@@ -11,10 +11,10 @@ from novags.testbed.study.light import METHOD
 
 
 def failed(material: Material, page: Page) -> dict[str, Any] | None:
-    """The runs of a study that failed, and what could not be computed, with the reasons."""
+    """The failed runs of a study, and scores that could not be computed, with the reasons."""
     rows = [row for row in material.rows if row["state"] in ("failed", "skipped")]
     reasons = {f"run {row['run']}, {row[METHOD]}{''.join(f', {axis} {row[axis]}' for axis in material.varied)}":
-               f"{'what it needs has failed: ' if row['state'] == 'skipped' else ''}"
+               f"{'a task it needs has failed: ' if row['state'] == 'skipped' else ''}"
                f"{row.get('reason') or 'no reason is known'}" for row in rows}  # fmt: skip
     skipped = any(row["state"] == "skipped" for row in rows)
     facts = {**reasons, **material.unavailable}

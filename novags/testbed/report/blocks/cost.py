@@ -1,4 +1,4 @@
-"""What it cost: time and memory of every stage, and on what."""
+"""The cost: time and memory of every stage, and the machine."""
 
 from collections.abc import Mapping
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What was done, and which method comes first."""
+"""The work done, and which method comes first."""
 
 from typing import Any
 
@@ -17,7 +17,7 @@ APART = (
 
 
 def header(material: Material, page: Page) -> dict[str, Any]:
-    """Title, what was done, the verdict in words and, of one place, in numbers."""
+    """Title, the work done, the verdict in words and, of one place, in numbers."""
     found: dict[str, Any] = {"title": material.title, "verdict": "", "cards": []}
     if (place := material.one) is not None:
         seconds, found["verdict"] = sum(row["seconds"] for row in costs(material)), verdict(place)

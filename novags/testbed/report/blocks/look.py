@@ -10,7 +10,7 @@ from novags.testbed.report.verdict import compared
 
 
 def look(material: Material, page: Page) -> dict[str, Any] | None:
-    """The views of every place; what cannot be shown is named with its reason."""
+    """The views of every place; views that cannot be shown are named with the reason."""
     views, unseen = list[ViewTiles](), dict(material.unseen)
     first: tuple[list[str], list[str]] = ([], [])
     for done, (name, opened) in enumerate(material.places.items()):

@@ -30,7 +30,7 @@ Grid = Sequence[tuple[str, str, str, bool, int]]  # as `columns` of `grid`
 
 
 def scores(material: Material, page: Page) -> dict[str, Any]:
-    """The tables of one place, or the one of many."""
+    """The tables of one place, or the table of many."""
     return _of_many(material, page) if material.one is None else _of_one(material, material.one, page)
 
 
@@ -89,7 +89,7 @@ def _views(kind: str, found: Mapping[str, Any], place: Place) -> Table:
 
 
 def _ends(place: Place, end: str) -> str:
-    """One end of the scale of what is recovered, in words; "" where it has no run."""
+    """One end of the scale of recovered shares, in words; "" where it has no run."""
     names = bounds_of({name: run.method for name, run in place.runs.items()}).get(end, [])
     return "".join(names) if len(names) < 2 else f"the mean of {len(names)} runs of {place.runs[names[0]].method}"
 

@@ -1,4 +1,4 @@
-"""What was simulated, and what was not; of photographs where they come from."""
+"""Simulated and omitted effects; of photographs where they come from."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -38,7 +38,7 @@ def simulated(material: Material, page: Page) -> dict[str, Any] | None:
 
 
 def photographs_text(place: Place) -> list[str]:
-    """What imported photographs are, what is known of their camera, and where the truth comes from."""
+    """The kind of imported photographs, their camera, and where the truth comes from."""
     record, told, name = place.capture.record, place.capture.imported, place.capture.record.sensor_name
     assert told is not None
     forms = [FORMS[told.depth], *(["raw"] if place.capture.holds("raw") and told.depth != "raw" else [])]
@@ -58,7 +58,7 @@ def photographs_text(place: Place) -> list[str]:
 
 
 def effects(material: Material) -> list[dict[str, Any]]:
-    """The plans of light transport and of the sensor: the table of their effects, and what they cost."""
+    """The plans of light transport and of the sensor: the table of their effects, and their cost."""
     found, made = [], material.made.values()
     for heading, records in (("Light transport", {each.set: each.rendered for each in made}),
                              ("Sensor", {each.capture: each.captured for each in made})):  # fmt: skip
@@ -102,12 +102,12 @@ def _matters(effect: Mapping[str, Any]) -> bool:
 
 
 def _most(values: Sequence[Any]) -> Any:
-    """The largest number; what is no number where there is none."""
+    """The largest number; the first value where none is a number."""
     return max((value for value in values if isinstance(value, float | int)), default=values[0])
 
 
 def _told(plans: Sequence[Mapping[str, Any]]) -> str:
-    """Which effects cannot matter, and what all that were left out cost at most."""
+    """Which effects cannot matter, and the cost of all omitted ones at most."""
     absent = [name.replace("_", " ") for name, found in _by_name(plans).items() if not any(map(_matters, found))]
     bounds: dict[str, list[Any]] = {}
     for plan in plans:

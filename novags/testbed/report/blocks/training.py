@@ -76,7 +76,7 @@ def losses(series: Mapping[str, Sequence[tuple[float, float]]], keys: Mapping[st
 
 
 def _drawn(loss: float | str | None) -> float:
-    """A loss as it is drawn: a gap where there is none above 0, or it was not finite, which is text in JSON."""
+    """A loss as drawn: a gap where there is none above 0, or it was not finite, which is text in JSON."""
     return loss if isinstance(loss, int | float) and loss >= SMALLEST else math.nan
 
 

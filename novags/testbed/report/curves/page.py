@@ -37,7 +37,7 @@ def marks(name: str) -> tuple[str, str]:
 
 
 def embedded(page: str, points: list[Point]) -> str:
-    """A page with the tables of these points between the marks of their subjects; other parts stay as they are."""
+    """A page with the tables of these points between the marks of their subjects; other parts do not change."""
     for name in dict.fromkeys(point["knob"].partition(".")[0] for point in points):
         begin, end = marks(name)
         head, found, rest = page.partition(begin)

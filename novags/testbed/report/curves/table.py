@@ -1,4 +1,4 @@
-"""Curves as Markdown: a table a knob, and what is to be said of its default."""
+"""Curves as Markdown: a table a knob, and a sentence on its default."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -50,7 +50,7 @@ def said(points: Sequence[Point]) -> str:
 
 def _off_the_front(default: Point, points: Sequence[Point]) -> str:
     if min(point["repeats"] for point in points) < 2:
-        return "is off the front; what was measured once has no known spread"
+        return "is off the front; a single measurement has no known spread"
     clear = beaten_by(_spread(default), [_spread(point) for point in points])
     if not clear:
         return "is off the front, but nothing is both faster and more accurate beyond the spread"

@@ -20,7 +20,7 @@ SMALL = 80  # px; of thumbnails where there are more than `MANY`
 MANY = 500
 PNG_PIXELS = 256 * 256  # above it JPEG: noise compresses badly, and the page would grow by megabytes
 SUFFIX = {"png": "png", "jpeg": "jpg"}
-OWN = re.compile(r"[0-9a-f]{20}\.(png|jpg|js)")  # names of files beside a page; what is called otherwise is not ours
+OWN = re.compile(r"[0-9a-f]{20}\.(png|jpg|js)")  # names of files beside a page; files with other names are not ours
 
 
 @dataclass
@@ -34,7 +34,7 @@ class Picture:
 
     @property
     def exact(self) -> bool:
-        """Whether its codes are those of the picture that was given."""
+        """Whether its codes equal the codes of the given picture."""
         return self.kind == "png"
 
 
@@ -42,7 +42,7 @@ class Picture:
 class Script:
     """Data of a page, as text that a script can read."""
 
-    text: str  # what it reads; empty once it lies in `file`
+    text: str  # the data; empty once they lie in `file`
     name: str  # by which the page asks for it
     inside: bool | None = None  # whether the page holds the text; None before `Album.settle`
     file: str | None = None  # where it is otherwise, relative to the page: a script that hands the text over
@@ -52,7 +52,7 @@ class Script:
 class Album:
     """The pictures and the data of one page.
 
-    What cannot fit into the page is written beside it as it comes, so that memory does not grow with it.
+    Pictures that do not fit into the page are written beside it as they come, so that memory does not grow with it.
     """
 
     page: Path  # the HTML file
@@ -105,7 +105,7 @@ class Album:
         return self._scripts[-1]
 
     def settle(self) -> None:
-        """Decide what goes into the page, write the rest beside it, and remove what lies there of earlier pages.
+        """Choose the pictures for the page itself, write the rest beside it, and remove files of earlier pages there.
 
         Raises:
             OSError: If it cannot be written.

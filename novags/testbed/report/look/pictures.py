@@ -31,7 +31,7 @@ WORDS = {"enhanced": "noise-free", "linear": "noise-free", "lit": "well-lit"}
 
 @dataclass(frozen=True)
 class Tile:
-    """One picture with what it shows."""
+    """One picture with its caption."""
 
     key: str
     label: str
@@ -42,7 +42,7 @@ class Tile:
 
 @dataclass(frozen=True)
 class ViewTiles:
-    """All pictures of one view, and what is known of its pixels."""
+    """All pictures of one view, and the known values of its pixels."""
 
     name: str  # of the view
     held_out: bool  # whether no method was shown it
@@ -69,7 +69,7 @@ class _Tiles:
 def view_tiles(i: int, place: Place, album: Album, called: str = "") -> ViewTiles:
     """Everything there is to see of view `i`; its pictures go into `album`.
 
-    The denoised images are those of the main run, whose depth sets the scale of all. `called`: which place it is, on a
+    The denoised images belong to the main run, whose depth sets the scale of all. `called`: which place it is, on a
     page that shows several.
     """
     capture, runs, main = place.capture, place.runs, place.main
@@ -93,7 +93,7 @@ def view_tiles(i: int, place: Place, album: Album, called: str = "") -> ViewTile
 
 
 def _add_renders(tiles: _Tiles, i: int, place: Place, runs: Mapping[str, Run], held_out: bool) -> None:
-    """What each of these runs renders, what it is compared with, and how far it is from that."""
+    """The render of each of these runs, its reference, and the difference."""
     capture, name, shows = place.capture, place.capture.names[i], dict[str, np.ndarray]()
     light = {other: run.rendering(name) for other, run in runs.items()}
     for other, run in runs.items():
@@ -122,7 +122,7 @@ def shown(image: np.ndarray, kind: str) -> np.ndarray:
 
 
 def render_note(scores: Mapping[str, Any] | None, held_out: bool) -> str:
-    """What the caption of a render says: whether the view is held out, and its score, of those by reference."""
+    """What the caption of a render says: whether the view is held out, and one of its scores by reference."""
     if not held_out:
         return "a training view"
     first = next(iter((scores or {}).values()), None)

@@ -1,4 +1,4 @@
-"""What is known of every pixel of a dark exposure, in a form that a script of the page can read.
+"""The known values of every pixel of a dark exposure, in a form that a script of the page can read.
 
 A probe is a list of planes, each [channels, h, w] of 16-bit numbers, low bytes before high bytes, one after the other,
 compressed by zlib. Whole numbers are digital numbers; floats are half precision times a scale, which keeps 11 bits: an

@@ -1,1 +1,1 @@
-"""What each stage is asked for: one file a stage, without what the work itself needs."""
+"""The configuration of each stage: one file a stage, without imports that the work itself needs."""

@@ -41,7 +41,7 @@ class CaptureConfig:
     jpeg_quality: int | None = None  # 1..100: the 8-bit pictures go through JPEG; None: they do not
     tolerance: float | None = 0.05  # leave out effects that change the noise by less; None simulates all
     export: tuple[str, ...] = ()  # further layouts of the capture: "blender", "llff"
-    camera: Sensor = field(init=False)  # what `sensor` stands for: a file is read once, and its content is hashed
+    camera: Sensor = field(init=False)  # the camera named by `sensor`: a file is read once, and its content is hashed
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "camera", camera_named(self.sensor))
@@ -66,7 +66,9 @@ class CaptureConfig:
         return self.sensor if self.sensor in PRESETS else Path(self.sensor).stem
 
     def resolved(self) -> dict[str, Any]:
-        """What determines the pictures: the camera itself, neither the path of its file nor further layouts."""
+        """The settings that determine the pictures: the camera itself, neither the path of its file nor further
+        layouts.
+        """
         kept = {name: value for name, value in asdict(self).items() if name != "export"}
         truth = {"truth": "three channels"} if self.camera.cfa else {}  # earlier versions kept the mosaic alone
         return kept | truth | {"sensor": self.sensor_name}
@@ -95,7 +97,7 @@ class CaptureConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class OwnNoiseConfig(CaptureConfig):
-    """A capture whose noise no other one shares: what is trained on several cannot learn the random numbers."""
+    """A capture whose noise no other one shares: a network trained on several cannot learn the random numbers."""
 
     drawn: int  # seed of the random numbers; `seed` says which of several exposures of the same light it is
 

@@ -1,4 +1,4 @@
-"""A method that is a program: which one, and what makes it another one."""
+"""A method that is a program: which one, and the changes that make it another one."""
 
 import re
 import shlex
@@ -40,11 +40,11 @@ class CommandConfig:
             views, {seed} for the seed of the run.
         folder: Where it runs; relative paths in it start here.
         timeout: Seconds after which it is ended and has failed; None: never.
-        space: What its pictures are: "lit" (as in good light, sRGB-encoded) or "linear" (the light of the scene).
-        files: Files and folders beside those that the command names, relative to `folder`, that make it another
-            program when they change.
+        space: The kind of its pictures: "lit" (as in good light, sRGB-encoded) or "linear" (the light of the scene).
+        files: Files and folders that the command does not name, relative to `folder`, that make it another program when
+            they change.
         version: A command whose output tells one version of the program from another ("theirs --version"); "" for none.
-        title: What it does, in a sentence.
+        title: Its work, in a sentence.
         seed: Of the run.
     """
 
@@ -94,27 +94,29 @@ class CommandConfig:
 
     @property
     def variant(self) -> Variant:
-        """Its name, as that of a method of the test bed."""
+        """Its name, as a method of the test bed has one."""
         return Variant(name=self.name, method=self.name, title=self.title)
 
     def words(self, **places: str) -> list[str]:
-        """The program and its arguments, with what `places` stand for; each stays one word, whatever it holds."""
+        """The program and its arguments, with the values of `places`; each stays one word, with any content."""
         filled = [PLACE.sub(lambda found: places[found.group(1)], word) for word in self._split()]
         return [str(self._program(filled[0])), *filled[1:]]
 
     @property
     def code(self) -> Code:
-        """What runs the program and keeps its pictures."""
+        """The code that runs the program and keeps its pictures."""
         return code_of("novags.testbed.stages.command", *for_photographs())
 
     def resolved(self) -> dict[str, Any]:
-        """What determines the pictures: the command and the content of the files that it names, not where they lie."""
+        """The facts that determine the pictures: the command and the content of the files that it names, not where they
+        lie.
+        """
         told = {"version": self._told()} if self.version else {}
         return {"method": self.name, "command": self.command, "space": self.space, "seed": self.seed,
                 "program": self._digest(), **told}  # fmt: skip
 
     def _told(self) -> str:
-        """What the program says of its version.
+        """The version that the program states.
 
         Raises:
             ValueError: If it says nothing, or fails.
@@ -151,8 +153,8 @@ def read_commands(tables: Any, folder: Path) -> tuple[CommandConfig, ...]:
     """The tables [method.NAME] of a study file.
 
     Args:
-        tables: What stands under `method`.
-        folder: That of the file, where commands run.
+        tables: The tables under `method`.
+        folder: The file's folder, where commands run.
 
     Raises:
         ValueError: If a table is not a method; names it.

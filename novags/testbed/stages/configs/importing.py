@@ -1,4 +1,4 @@
-"""What is known about dark photographs besides their files."""
+"""Knowledge about dark photographs besides their files."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,20 +19,20 @@ from sensor_model.presets import PRESETS
 
 @dataclass(frozen=True, kw_only=True)
 class ImportConfig:
-    """What is known about dark photographs besides their files."""
+    """Knowledge about dark photographs besides their files."""
 
     lit: Path | None = None  # well-lit pictures of the same views
     clean: Path | None = None  # long exposures of the same views in the same light
     sensor: str | None = None  # a name of sensor_model.PRESETS or a camera's TOML file: gives methods the noise
-    time: float | None = None  # s, of the dark exposures; None: what raw files say, else unknown and counted as 0
+    time: float | None = None  # s, of the dark exposures; None: from raw files, else unknown and counted as 0
     black: float = 0.0  # code of no light in 16-bit files
     white: float = 65535.0  # code of white in them
     curve: Curve = "linear"  # of their codes in between
     demosaic: Demosaic = "menon"  # for raw files with a colour filter array
     max_size: int | None = None  # px; scale larger pictures down to this longest side
     split: Split = "own"  # which views are held out
-    dataset: str = "auto"  # the published data set that the folder is a scene of; auto: what it looks like; or none
-    camera: Sensor | None = field(init=False)  # what `sensor` stands for
+    dataset: str = "auto"  # the published data set that the folder is a scene of; auto: by its looks; or none
+    camera: Sensor | None = field(init=False)  # the camera named by `sensor`
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "camera", None if self.sensor is None else camera_named(self.sensor))
@@ -57,7 +57,7 @@ class ImportConfig:
 
     @property
     def codes(self) -> Codes16:
-        """What 16-bit codes mean."""
+        """The meaning of 16-bit codes."""
         return Codes16(black=self.black, white=self.white, curve=self.curve)
 
     @property
@@ -66,7 +66,7 @@ class ImportConfig:
         return self.sensor if self.sensor is None or self.sensor in PRESETS else Path(self.sensor).stem
 
     def resolved(self) -> dict[str, Any]:
-        """What determines the result besides the content of folders."""
+        """The settings that determine the result, besides the content of folders."""
         return {
             "sensor": self.sensor_name, "camera": self.camera, "time": self.time, "black": self.black,
             "white": self.white, "curve": self.curve, "demosaic": self.demosaic, "max_size": self.max_size,

@@ -49,7 +49,7 @@ class PosesConfig:
         check_seed(self.seed)
 
     def resolved(self) -> dict[str, Any]:
-        """What determines the result, apart from the content of the photographs."""
+        """The settings that determine the result, apart from the content of the photographs."""
         kept = {name: value for name, value in asdict(self).items() if name != "photographs"}
         return kept | {"fps": self.frames_a_second if is_video(self.photographs) else None}
 

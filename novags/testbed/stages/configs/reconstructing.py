@@ -41,14 +41,14 @@ class ReconstructConfig:
 
     @property
     def code(self) -> Code:
-        """What reconstructs it: the stage, the method, the source of cameras and what they are configured with."""
+        """The code that reconstructs it: the stage, the method, the source of cameras and their configurations."""
         used = {*modules_of(self.config), *modules_of(self.cameras), SEEN.module_of(self.cameras.looks_at)}
         if hasattr(self.config, "enhance"):
             used.add(ENHANCERS.module_of(enhancer_of(self.config.enhance)[0]))
         return code_of("novags.testbed.stages.reconstructing", METHODS.module_of(self.variant.method), *used)
 
     def resolved(self) -> dict[str, Any]:
-        """What determines the result."""
+        """The settings that determine the result."""
         return {
             "method": self.variant.method, "points": self.points, "seed": self.seed,
             "cameras": spell_cameras(self.cameras), "config": asdict(self.config),
@@ -59,7 +59,7 @@ def files_of(config: ReconstructConfig) -> dict[str, str]:
     """Content hash of every file that the settings of the method and of the cameras name, by setting and file.
 
     Raises:
-        ValueError: If one of the method is not there. A source of cameras says itself what it lacks, and what helps.
+        ValueError: If one of the method is not there. A source of cameras names missing parts and a remedy itself.
     """
     refuse_lost_files(config.config, "settings")
     named = files_among(config.config) | {f"cameras.{name}": p for name, p in files_among(config.cameras).items()}

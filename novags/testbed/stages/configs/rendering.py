@@ -20,7 +20,7 @@ VARIANTS = ("auto", *BACKENDS, *(f"{backend}_{color}" for backend in BACKENDS fo
 
 @dataclass(frozen=True, kw_only=True)
 class RenderConfig:
-    """What to render and how well."""
+    """The scene to render and the accuracy."""
 
     scene: str = "tabletop"  # a name of simscenes.SCENES, "tabletop:3" for its variation 3, or a Mitsuba .xml file
     n_views: int = 32
@@ -29,12 +29,12 @@ class RenderConfig:
     spp: int | None = 256  # samples per pixel; None: as many as `target_error` requires
     target_error: float | None = None  # relative RMSE of a view
     variant: str = "auto"  # of Mitsuba
-    on: tuple[str, ...] = ()  # effects of light that are simulated whatever the plan says
+    on: tuple[str, ...] = ()  # effects of light that are simulated in any case
     off: tuple[str, ...] = ()  # and that are left out
     max_depth: int | None = None  # longest path of light, as Mitsuba counts; None: as long as the plan finds worthwhile
     optics: Optics = field(default_factory=Optics)  # lens (None: a file's own, else a pinhole), motion, colour filters
     allow_outside: bool = False  # let a Mitsuba file read files outside its folder
-    parameters: tuple[str, ...] = ()  # "name=value": what the $names of a Mitsuba file stand for
+    parameters: tuple[str, ...] = ()  # "name=value": values of the $names of a Mitsuba file
     sensor_index: int = 0  # which of a Mitsuba file's sensors the cameras are placed around, from 0
     own_cameras: bool = False  # all of a Mitsuba file's sensors are the views; their number is not n_views then
     export: tuple[str, ...] = ()  # further layouts of the set: "blender", "llff"
@@ -75,7 +75,9 @@ class RenderConfig:
             raise ValueError(f"{brief(', '.join(sorted(both)))}: forced on and off at once; name each effect once")
 
     def resolved(self) -> dict[str, Any]:
-        """What determines the pixels, apart from the content of the scene: neither its path nor further layouts."""
+        """The settings that determine the pixels, apart from the content of the scene: neither its path nor further
+        layouts.
+        """
         kept = {name: value for name, value in asdict(self).items() if name != "export"}
         for name in ("parameters", "sensor_index", "own_cameras"):
             if not kept[name]:

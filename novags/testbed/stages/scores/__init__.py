@@ -1,1 +1,1 @@
-"""Scores of pictures from elsewhere, and of what is left of the noise."""
+"""Scores of pictures from elsewhere, and of the remaining noise."""

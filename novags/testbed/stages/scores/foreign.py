@@ -36,7 +36,7 @@ MEANING = {
 
 @dataclass(frozen=True)
 class Truth:
-    """What is known about the held-out views of a set or a capture.
+    """The truth about the held-out views of a set or a capture.
 
     Attributes:
         path: Of the set or the capture.
@@ -76,7 +76,7 @@ class Truth:
         return rig.width, rig.height
 
     def reader(self, reference: Reference) -> Callable[[int], Image]:
-        """What reads the reference of a view, float32 [h,w,3].
+        """A reader of the reference of a view, float32 [h,w,3].
 
         Raises:
             ValueError: If there is no such reference here.
@@ -99,8 +99,8 @@ class Truth:
         if not self.capture.holds("truth"):
             raise ValueError(f"{self.path}: {MISSING['truth']}")
         if demosaiced and not self.capture.demosaiced:
-            raise ValueError(f"the reference {reference} is of a simulated camera with a colour filter array, and that "
-                             f"of {self.path} is another: use {reference.partition('_')[0]}")  # fmt: skip
+            raise ValueError(f"the reference {reference} belongs to a simulated camera with a colour filter array, and "
+                             f"the camera of {self.path} is another: use {reference.partition('_')[0]}")  # fmt: skip
         read = self.capture.clean_linear if reference in LINEAR else self.capture.clean
         return partial(read, demosaiced=demosaiced)
 
@@ -110,20 +110,20 @@ def score_renders(
 ) -> dict[str, Any]:
     """Scores of the pictures in `folder` of all held-out views.
 
-    Files of 8 bits are sRGB-encoded. Those of 16 bits and EXR files hold what the reference holds: sRGB-encoded values
-    for "lit" and "clean", linear light for "linear", the same for those of mosaics. EXR files with a
-    channel Z (and alpha) are scored in depth too.
+    Files of 8 bits are sRGB-encoded. Files of 16 bits and EXR files are encoded like the reference: sRGB-encoded values
+    for "lit" and "clean", linear light for "linear", the same for references of mosaics. EXR files with a channel Z
+    (and alpha) are scored in depth too.
 
     Args:
         folder: Of the pictures.
-        truth: What is known of the views.
-        reference: What they are compared with.
+        truth: The truth about the views.
+        reference: The pictures they are compared with.
         console: Where progress goes.
         out: Where the scores will be written, for a dry run to say.
 
     Returns:
-        `mean` and `views` by reference as in metrics.json, `geometry` (None without depth), and `about`: what was
-        compared with what.
+        `mean` and `views` by reference as in metrics.json, `geometry` (None without depth), and `about`: the two sides
+        of the comparison.
 
     Raises:
         ValueError: If pictures are missing, cannot be read or are not as a run of ours wrote them, or the reference is

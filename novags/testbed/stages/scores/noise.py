@@ -33,10 +33,10 @@ def noise_scores(run: Run, capture: Capture, lit: Source) -> dict[str, float | N
 
     Returns:
         `known`: root mean square of the noise in the enhanced pictures, sRGB code. `targets`, `renders`: the share of
-        it that is left in what the scene was fitted to, and in its renderings of the same views (None if there are
-        none). `bias_floor`: PSNR in dB of the mean of infinitely many exposures, each enhanced, against the noise-free
-        one, which a fit that averages cannot exceed; None for imported photographs, which cannot be taken again. Behind
-        a colour filter array the errors of interpolation are not noise, but part of the bias.
+        it that is left in the targets of the fit, and in its renderings of the same views (None if there are none).
+        `bias_floor`: PSNR in dB of the mean of infinitely many exposures, each enhanced, against the noise-free one,
+        which a fit that averages cannot exceed; None for imported photographs, which cannot be taken again. Behind a
+        colour filter array the errors of interpolation are not noise, but part of the bias.
     """
     if run.enhancement is None or not (run.path / "enhanced").is_dir() or not capture.holds("truth"):
         return None

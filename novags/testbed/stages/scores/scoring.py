@@ -82,7 +82,9 @@ def _score(run_path: Path, console: Console) -> dict[str, Any]:
 
 
 def code_of_scores(run: Run, lit: Source) -> Code:
-    """What scores a run: the stage, the enhancement that its references go through, and what reads its set."""
+    """The code that scores a run: the stage, the enhancement that its references go through, and the reader of its
+    set.
+    """
     enhancer = None if run.enhancement is None else ENHANCERS.module_of(run.enhancement["enhancer"])
     return code_of(__name__, enhancer, *modules(), *lit.modules)
 
@@ -93,8 +95,8 @@ def score_test_views(
     """Scores of every held-out view against each of its references, and their means; `asked`: which by networks.
 
     Returns:
-        `mean` and `views` hold the image scores by reference (None in `mean` for one that is not known); `geometry`
-        those of depth (None if unknown), with the view consistency.
+        `mean` and `views` hold the image scores by reference (None in `mean` for one that is not known); `geometry` the
+        scores of depth (None if unknown), with the view consistency.
     """
     views: dict[str, Any] = {}
     depths = []
@@ -224,7 +226,8 @@ def stage_seconds(run: Run, captured: Capture, lit: Source) -> dict[str, float]:
 def recovered_shares(
     scores: Mapping[str, Any], methods: Mapping[str, str]
 ) -> tuple[dict[str, dict[str, float]], dict[str, str]]:
-    """What each run wins back of what noise costs: `recovered` and `recovered_lit`, by run; and why one is not known.
+    """The share of the cost of noise that each run wins back: `recovered` and `recovered_lit`, by run; and why one is
+    not known.
 
     `recovered` = (method - floor) / (ceiling - floor) in aligned PSNR against `enhanced`, `recovered_lit` the same in
     tone-aligned PSNR against `lit`, for every run but the bounds.
@@ -247,7 +250,7 @@ def recovered_shares(
 def recovered_fractions(
     scores: Mapping[str, Any], methods: Mapping[str, str], kind: str = "enhanced", number: str = "aligned_psnr"
 ) -> tuple[dict[str, float], str | None]:
-    """The share of what noise costs that each run wins back, and the reason where it is unknown.
+    """The share of the cost of noise that each run wins back, and the reason where it is unknown.
 
     Args:
         scores: The scores of each run, by its name, which may follow a folder and a slash.
@@ -257,7 +260,7 @@ def recovered_fractions(
     """
     for needed, what in ((kind, f"the reference {kind}"), ("enhanced", "the noise-free exposure, the ceiling's,")):
         if all(method["mean"].get(needed, {}) is None for method in scores.values()):
-            return {}, f"{what} is not known for these photographs, so what was recovered cannot be measured"
+            return {}, f"{what} is not known for these photographs, so the recovered share cannot be measured"
     ends = bounds_of(methods)
     if len(ends) < 2:
         wanted = [name for name, method in METHODS.items() if method.bound and method.bound not in ends]
@@ -284,7 +287,7 @@ def recovered_fractions(
 
 
 def bounds_of(methods: Mapping[str, str]) -> dict[str, list[str]]:
-    """The runs at each end of the scale, "floor" and "ceiling": methods as they are, not variants of them.
+    """The runs at each end of the scale, "floor" and "ceiling": methods themselves, not variants of them.
 
     Args:
         methods: The method of each run, by its name, which may follow a folder and a slash.

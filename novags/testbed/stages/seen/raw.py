@@ -1,4 +1,4 @@
-"""The dark pictures as they are."""
+"""The dark pictures, unchanged."""
 
 import numpy as np
 import torch

@@ -1,6 +1,6 @@
 """Which settings lose least in a given time.
 
-The time of an experiment is a sum over parts (the fit, the denoiser's training, the render, and what no setting
+The time of an experiment is a sum over parts (the fit, the denoiser's training, the render, and work that no setting
 changes). A setting multiplies some parts by measured factors and loses measured decibels; factors of several options
 multiply, losses add. That they do is an assumption: curves turn one knob at a time.
 """
@@ -22,7 +22,7 @@ class Option:
     Attributes:
         name: iterations, points, ...
         share: Of the preset's own value.
-        factors: What it multiplies each part's seconds by; parts that are missing stay.
+        factors: Factors on each part's seconds; missing parts keep theirs.
         lost: Expected loss against the preset's own value, dB of aligned PSNR, >= 0.
         sd: Its standard deviation.
     """
@@ -40,7 +40,7 @@ class Choice:
 
     Attributes:
         options: One for each name.
-        seconds: What the experiment takes.
+        seconds: The time of the experiment.
         lost: Expected loss, dB.
         sd: Its standard deviation: losses of single options are taken to be independent.
     """
@@ -52,7 +52,7 @@ class Choice:
 
 
 def seconds_of(parts: Mapping[str, float], options: Sequence[Option]) -> float:
-    """What an experiment takes whose parts take so long with the preset's own settings."""
+    """The time of an experiment whose parts take so long with the preset's own settings."""
     return sum(s * math.prod(option.factors.get(part, 1.0) for option in options) for part, s in parts.items())
 
 
@@ -135,7 +135,7 @@ def united(curves: Sequence[Sequence[Option]]) -> list[Option]:
     """Curves of one option, measured with several methods, as one: for an experiment that compares these methods.
 
     Each method's parts keep their factors; a part that several have (the render) gets the mean. The loss is the mean of
-    the methods'. Settings are those that all curves reach; between its own settings a curve is interpolated.
+    the methods'. Settings lie in the range that all curves reach; between its own settings a curve is interpolated.
     """
     least = max(min(option.share for option in curve) for curve in curves)
     shares = sorted({option.share for curve in curves for option in curve if option.share >= least})

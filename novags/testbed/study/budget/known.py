@@ -1,4 +1,4 @@
-"""What is known of options before an experiment: curves measured earlier, or those that came with novags."""
+"""Knowledge of options before an experiment: curves measured earlier, or curves that came with novags."""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -35,11 +35,11 @@ class Known:
 
 
 def known(folder: Path | None, methods: Collection[str] = ()) -> Known:
-    """The curves in a folder; without one those of `USUAL` if this machine made them, else those of novags.
+    """The curves in a folder; without one the curves of `USUAL` if this machine made them, else novags's own.
 
     Args:
         folder: The folder that is named, if any.
-        methods: The methods of the experiment; see `options_of`. What `USUAL` lacks of them comes from novags.
+        methods: The methods of the experiment; see `options_of`. Curves that `USUAL` lacks come from novags.
 
     Raises:
         ValueError: If the folder that is named holds no curves of options.
@@ -83,14 +83,14 @@ def _used(curves: Collection[str], methods: Collection[str]) -> list[str]:
 
 
 def subject(point: Mapping[str, Any]) -> str:
-    """What a point is of."""
+    """The subject of a point."""
     return str(point["knob"]).partition(".")[0]
 
 
 def options_of(points: Sequence[Point], methods: Collection[str] = ()) -> dict[str, list[Option]]:
     """The options of some curves; settings above the default are left out.
 
-    What was measured to be better than the default at less time counts as no loss: it may be chance.
+    A setting that was measured to be better than the default at less time counts as no loss: it may be chance.
 
     Args:
         points: Of one method or of several.
@@ -110,7 +110,7 @@ def _options_of(points: Sequence[Point]) -> dict[str, list[Option]]:
         if point["option"] is None:
             continue
         setting, parts, default = point["setting"], point["parts"], defaults.get(point["knob"])
-        # what has no logarithm: a setting of nothing, a part that takes less than no time
+        # numbers without a logarithm: a setting of nothing, a part that takes less than no time
         if not isinstance(setting, int | float) or not setting > 0 or min(parts.values(), default=0) < 0:
             raise ValueError(f"the settings of {point['knob']} must be numbers > 0 and the seconds of its parts >= 0, "
                              f"got {brief(setting, 60)} and {brief(parts, 100)}")  # fmt: skip
@@ -131,7 +131,7 @@ def open_options(
 
     Args:
         preset: The experiment.
-        options: What curves know.
+        options: The options of the curves.
         decided: Options that the user has set.
     """
     own = values(preset)

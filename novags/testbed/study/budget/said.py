@@ -1,4 +1,4 @@
-"""What a budget says: before the work, when the rest is chosen again, and afterwards."""
+"""The words of a budget: before the work, when the rest is chosen again, and afterwards."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -30,7 +30,7 @@ def _foretold(state: State) -> str:
 
 
 def before(preset: Preset, chosen: Preset, state: State, untried: Sequence[str] = ()) -> list[str]:
-    """The choice, the time it takes, what it loses, and where that is known from; `untried`: methods by the tables."""
+    """The choice, its time, its loss, and the source of these numbers; `untried`: methods by the tables."""
     tables = f", of {' and '.join(untried)} in part from the curves, at that pace" if untried else ""
     return [
         f"budget {state['budget']:g} s: changed against the preset: {changes(preset, chosen)}",
@@ -44,13 +44,13 @@ def before(preset: Preset, chosen: Preset, state: State, untried: Sequence[str] 
 def untried(
     preset: Preset, budget: float, limit: float, options: Mapping[str, Sequence[Option]], source: str
 ) -> list[str]:
-    """What a choice will be made of that was not tried yet.
+    """The basis of a choice whose trial has not run yet.
 
     Args:
         preset: The experiment.
         budget: Seconds.
         limit: Seconds that the trial may take.
-        options: What there is to choose.
+        options: The options to choose from.
         source: Where the curves come from.
     """
     own = values(preset)
@@ -73,12 +73,12 @@ def again(preset: Preset, chosen: Preset, state: State, spent: float) -> list[st
 
 
 def after(preset: Preset, out: Path, state: State, against: Path | None) -> list[str]:
-    """The time taken, and what was lost as far as it is known.
+    """The time taken, and the loss as far as known.
 
     Args:
         preset: The experiment that was asked for.
-        out: The folder of what was done.
-        state: What was predicted.
+        out: The folder of the finished work.
+        state: The prediction.
         against: A folder that may hold a finished run of the preset itself.
     """
     took, budget = state["seconds"], state["budget"]
@@ -88,7 +88,7 @@ def after(preset: Preset, out: Path, state: State, against: Path | None) -> list
     if not any(share != 1 for share in state["shares"].values()):
         return [*lines, "  the preset itself was run: nothing is lost"]
     if full is None:
-        return [*lines, f"  {_foretold(state)}; what it really lost is known once the preset itself has been run: the "
+        return [*lines, f"  {_foretold(state)}; its real loss is known once the preset itself has been run: the "
                         "same command without --budget, then this one again"]  # fmt: skip
     own = _scores(out, None) or {}
     for name, here in own.items():

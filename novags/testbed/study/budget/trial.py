@@ -1,8 +1,9 @@
-"""The experiment on a small scale, with a stopwatch: what each of its parts will take here at the preset's settings.
+"""The experiment on a small scale, with a stopwatch: the time that each of its parts will take here at the preset's
+settings.
 
-Pictures have their real size and fits their real number of Gaussians; views, samples and steps are few. What is done
-once per view, sample or step is scaled up; the rest counts as it is. A trial ends when its time is over: what it did
-not come to takes what the curves' tables have for it, at the pace of what it did.
+Pictures have their real size and fits their real number of Gaussians; views, samples and steps are few. Work done once
+per view, sample or step is scaled up; the rest counts once. A trial ends when its time is over: a part that it did not
+reach takes the time in the curves' tables, at the pace of the parts it reached.
 """
 
 import time
@@ -23,9 +24,9 @@ from simscenes.rigs import TEST_EVERY
 
 VIEWS, STEPS, DENOISER_STEPS, SAMPLES = 4, 60, 10, 6
 WARM = 5  # first steps of a part, in which machine code is loaded
-CAUTION = 1.5  # times what the tables have at this machine's pace, for what was not tried
-# Where nothing is known of this machine, a slow one: times the tables' processor seconds; s for what they do not$
-# have, of each method and of the pictures (libraries, scores). Guesses.
+CAUTION = 1.5  # times the tables' seconds at this machine's pace, for untried parts
+# Where nothing is known of this machine, a slow one: times the tables' processor seconds; s for work outside the
+# tables, of each method and of the pictures (libraries, scores). Guesses.
 SLOW, LOADING = 4.0, 15.0
 Run = Callable[[Preset, Path, Console], Any]  # runs an experiment in a folder
 Parts = dict[str, float]  # seconds by part
@@ -69,7 +70,7 @@ class Forecast:
     Attributes:
         before: Of its parts until the pictures are taken.
         after: Of its parts from there on.
-        spent: What the trial took.
+        spent: The time of the trial.
         untried: Methods that it did not come to the end of.
     """
 
@@ -99,7 +100,7 @@ def forecast(preset: Preset, limit: float, run: Run, tables: Sequence[Mapping[st
     Args:
         preset: The experiment.
         limit: Seconds after which the trial ends.
-        run: What runs it.
+        run: The function that runs it.
         tables: Points of the curves of whole reconstructions.
 
     Raises:
@@ -148,7 +149,7 @@ def together(parts: Mapping[str, Parts]) -> Parts:
 
 
 def at_worst(preset: Preset, tables: Sequence[Mapping[str, Any]], share: float = 1.0) -> tuple[float, Parts]:
-    """Of a slow machine: seconds until a trial has seen its pace, and those of the experiment's parts.
+    """Of a slow machine: seconds until a trial has seen its pace, and seconds of the experiment's parts.
 
     Args:
         preset: The experiment.
@@ -165,7 +166,9 @@ def at_worst(preset: Preset, tables: Sequence[Mapping[str, Any]], share: float =
 def scaled(
     preset: Preset, small: Preset, folder: Path, stamps: Stamps, spent: float, tables: Mapping[str, Parts]
 ) -> Forecast:  # fmt: skip
-    """What the small experiment in `folder`, finished or not, says of the large one; `tables`: see `expected`."""
+    """The forecast of the small experiment in `folder`, finished or not, for the large one; `tables`: see
+    `expected`.
+    """
     if not (folder / "capture" / "capture.json").exists():
         raise OutOfTime
     ratio = 1.0 if preset.folder is not None else preset.render.n_views / small.render.n_views
@@ -186,7 +189,7 @@ def scaled(
         for name in untried:
             guessed = {part: CAUTION * pace * seconds for part, seconds in tables[name].items()}
             _add(after, {**guessed, **begun[name], "fixed": CAUTION * fixed}, _closed(preset, small, name))
-    after["fixed"] += max(rest, 0.0)  # the report and what lies between the stages
+    after["fixed"] += max(rest, 0.0)  # the report and the time between the stages
     return Forecast(before, after, spent, untried)
 
 
@@ -210,13 +213,13 @@ def _closed(preset: Preset, small: Preset, name: str) -> list[str]:
 
 
 def _pace(known: Sequence[tuple[Parts, Parts]]) -> float | None:
-    """Times what the tables have, the slowest; None if nothing that was tried is in them."""
+    """Multiple of the tables' seconds, the slowest; None if no tried part is in them."""
     both = [[(parts[part], table[part]) for part in parts if table.get(part)] for parts, table in known]
     return max((sum(s for s, _ in pairs) / sum(t for _, t in pairs) for pairs in both if pairs), default=None)
 
 
 def _pictures(preset: Preset, small: Preset, folder: Path, ratio: float) -> tuple[Parts, float]:
-    """Seconds by part until the pictures are taken, and what they took on a small scale."""
+    """Seconds by part until the pictures are taken, and their seconds on a small scale."""
     before, took = {"fixed": 0.0}, 0.0
     if preset.folder is None:
         seconds = read_json(folder / "set" / "set.json")["seconds"]
@@ -242,7 +245,7 @@ def _begun(preset: Preset, small: Preset, name: str, stamps: Stamps) -> Parts:
 
 
 def of_method(preset: Preset, small: Preset, name: str, folder: Path, stamps: Stamps, ratio: float) -> Parts:
-    """Seconds by part of one method with its score, and `took`: what it took on a small scale."""
+    """Seconds by part of one method with its score, and `took`: its seconds on a small scale."""
     record, metrics = read_json(folder / RECORD), read_json(folder / METRICS)
     spent, scored = float(record["stage"]["seconds"]), float(metrics["stage"]["seconds"])
     found, few, many = _begun(preset, small, name, stamps), _steps(small, name), _steps(preset, name)

@@ -38,7 +38,7 @@ State = dict[str, Any]
 
 @dataclass(frozen=True)
 class Request:
-    """What is asked for.
+    """The experiment and its budget.
 
     Attributes:
         preset: The experiment that the budget is compared with.
@@ -73,13 +73,13 @@ class Budget:
     """An experiment under way.
 
     Attributes:
-        request: What is asked for.
-        out: Its folder; `budget.json` in it has what was chosen, predicted and taken.
-        console: Where is said what is chosen.
+        request: The experiment and its budget.
+        out: Its folder; `budget.json` in it has the choice, the prediction and the time taken.
+        console: Where the choice is shown.
         start: When it began, without the time between its calls.
-        state: What is chosen.
-        tried: What the choice was made of: the trial's forecast, what there is to choose, the choice; None: it was made
-            by an earlier call.
+        state: The choice.
+        tried: The basis of the choice: the trial's forecast, the options, the choice; None: it was made by an earlier
+            call.
     """
 
     request: Request
@@ -167,10 +167,10 @@ def within(request: Request, out: Path, console: Console, run: Run, *, overwrite
     """The settings of an experiment that the caller runs in the block; an interrupted one goes on with its own.
 
     Args:
-        request: What is asked for.
+        request: The experiment and its budget.
         out: The experiment folder.
         console: Where notes go.
-        run: What runs the trial.
+        run: The function that runs the trial.
         overwrite: Replace finished results of another request.
 
     Raises:
@@ -187,7 +187,7 @@ def within(request: Request, out: Path, console: Console, run: Run, *, overwrite
         over = "seconds" in found.state
         try:
             yield found
-        except BaseException:  # what all calls together took is what is compared with the budget
+        except BaseException:  # the budget is compared with the time of all calls together
             with suppress(OSError, ValueError):  # such as a full disk: the first error is the one to report
                 if not over:
                     found.write(spent=found.spent)
@@ -197,7 +197,7 @@ def within(request: Request, out: Path, console: Console, run: Run, *, overwrite
 
 
 def _refuse_hopeless(request: Request, facts: Known, options: Mapping[str, Sequence[Option]]) -> None:
-    """Refuse at once what this machine is known to be too slow for.
+    """Refuse at once a budget that this machine is known to be too slow for.
 
     Raises:
         ValueError: If it has made the curves, and training alone takes longer even where all its cores share it.
@@ -230,10 +230,10 @@ def _shares(choice: Choice) -> dict[str, float]:
 
 
 def earlier(request: Request, out: Path, console: Console, overwrite: bool) -> State | None:
-    """What is gone on with, if it is; refuses to replace another experiment unless `overwrite`."""
+    """The earlier choice to go on with, if there is one; refuses to replace another experiment unless `overwrite`."""
     state = begun(request, out)
     if state is not None:
-        console.note(f"budget: going on with what was chosen before ({out / RECORD})")
+        console.note(f"budget: going on with the earlier choice ({out / RECORD})")
     elif (out / EXPERIMENT).exists() and not overwrite:
         raise ValueError(f"{out} holds a finished experiment of another request: choose another --out, or add "
                          "--overwrite to replace it")  # fmt: skip
@@ -241,7 +241,7 @@ def earlier(request: Request, out: Path, console: Console, overwrite: bool) -> S
 
 
 def begun(request: Request, out: Path) -> State | None:
-    """What an earlier call with the same request has chosen."""
+    """The choice of an earlier call with the same request."""
     if not (out / RECORD).exists():
         return None
     state = read_json(out / RECORD, SHAPE)
@@ -259,10 +259,10 @@ def begun(request: Request, out: Path) -> State | None:
 
 
 def told(request: Request, out: Path, console: Console, *, overwrite: bool = False) -> tuple[Preset | None, list[str]]:
-    """What `within` would do: the settings that are chosen already, if they are, and what is to be said.
+    """A dry run of `within`: the settings that are chosen already, if they are, and the lines to show.
 
     Raises:
-        ValueError: As `within`, but for what the trial would show.
+        ValueError: As `within`, except errors that only the trial would show.
     """
     if (state := earlier(request, out, console, overwrite)) is not None:
         chosen = turned(request.preset, state["shares"])

@@ -1,4 +1,6 @@
-"""What a key of a study file changes in a preset: scene, rig, camera, method, or any setting of a stage or a method."""
+"""Changes of a preset by the keys of a study file: scene, rig, camera, method, or any setting of a stage or a
+method.
+"""
 
 import os
 from collections.abc import Mapping
@@ -24,7 +26,7 @@ RENAMED = {"views": "n_views"}  # as the command line calls them -> as `adapted`
 SPELLED = {name: key for key, name in RENAMED.items()}
 NOT_AXES = ("preset", "return", "methods", "variants", "n_views", "dark")
 STAGES = {"render": "render", "capture": "capture", "import": "imported"}  # render.max_depth -> of `Changes`, `Preset`
-# What the short keys set, where a dotted key sets the same.
+# The settings of the short keys, where a dotted key sets the same.
 SETS = {
     "scene": ("render.scene",), "n_views": ("render.n_views",), "width": ("render.width",),
     "height": ("render.height",), "spp": ("render.spp",), "parameters": ("render.parameters",),
@@ -40,7 +42,7 @@ OF_RUNS = ("method", "cameras", "points", "iterations", "denoiser_steps", "pictu
 
 @dataclass(frozen=True)
 class Changes:
-    """What some keys change, sorted by where they do.
+    """The changes by some keys, sorted by their place.
 
     Attributes:
         adapted: Keywords of `presets.adapted`.
@@ -62,7 +64,7 @@ class Changes:
         return Changes(**{name: {**mine[name], **more[name]} for name in mine})
 
     def names(self) -> dict[str, str]:
-        """What they set, by one name whichever key does, and the key."""
+        """The settings they change, by one name whichever key does, and the key."""
         stages, found = {place: f"{stage}." for stage, place in STAGES.items()}, dict[str, str]()
         for place, settings in vars(self).items():
             for name in settings:
@@ -75,7 +77,7 @@ class Changes:
         return [key for key in OF_RENDER if _keyword(key) in self.adapted] + [f"render.{key}" for key in self.render]
 
     def without_render(self) -> "Changes":
-        """What is left of them for a set that is there already."""
+        """The rest of them for a set that is there already."""
         kept = {name: value for name, value in self.adapted.items() if name not in map(_keyword, OF_RENDER)}
         return replace(self, adapted=kept, render={})
 
@@ -97,12 +99,12 @@ def known_keys() -> tuple[str, ...]:
 
 
 def changes_of(key: str, value: Any, folder: Path, data: Mapping[str, Path] | None = None) -> Changes:
-    """What one key with one value changes.
+    """The changes by one key with one value.
 
     Args:
         key: Of [grid] (but "rig", which stands for several keys), [override] or [rig.NAME].
         value: As TOML holds it.
-        folder: Where relative paths start: that of the study file.
+        folder: Where relative paths start: the study file's folder.
         data: The scenes of data sets that are there: "LOM/buu" and its folder.
 
     Raises:
@@ -110,7 +112,7 @@ def changes_of(key: str, value: Any, folder: Path, data: Mapping[str, Path] | No
     """
     stage, dot, name = key.partition(".")
     if key == "capture.seed":
-        raise ValueError("the seed of the noise is that of the run: write seed")
+        raise ValueError("the noise has the seed of the run: write seed")
     if dot and stage in STAGES:
         return Changes(**{STAGES[stage]: {name: _whole_path_of_stage(key, value, folder)}})
     if key == "scene" and (name := _text(value)).startswith(DATA):
@@ -125,7 +127,7 @@ def changes_of(key: str, value: Any, folder: Path, data: Mapping[str, Path] | No
     known = (*known_keys(), *(name for method in METHODS.values() for name in flattened(method.config())))
     near = get_close_matches(key, known, 1)
     hint = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(known_keys())}, settings of methods, "
-    hint += "" if near else "and those of stages as render.NAME, capture.NAME and import.NAME"
+    hint += "" if near else "and settings of stages as render.NAME, capture.NAME and import.NAME"
     raise ValueError(f"there is no such key; {hint}")
 
 
@@ -202,7 +204,7 @@ def scene_of(value: str, folder: Path) -> str:
 
 
 def scene_identity(scene: str) -> str:
-    """What all spellings of a scene have in common: its one name, or where the file or folder really is."""
+    """The identity behind all spellings of a scene: its one name, or where the file or folder really is."""
     return str(resolved(Path(scene))) if scene.endswith(".xml") or os.path.isdir(scene) else scene
 
 
@@ -217,7 +219,7 @@ def _text(value: Any) -> str:
 def applied(base: Preset, changes: Changes, variants: tuple[Variant, ...] = ()) -> Preset:
     """The preset with all changes.
 
-    A seed is that of the noise and of training. The render keeps its own, so that one set serves all seeds.
+    A seed counts for the noise and for training. The render keeps its own, so that one set serves all seeds.
 
     Raises:
         ValueError: If a value is out of range or does not go with another.

@@ -1,9 +1,9 @@
 """A study file: every combination of its axes, checked whole before anything runs.
 
-preset = "demo"                    where all that is not said comes from
+preset = "demo"                    source of all other settings
 [grid]                             axes, in this order: a value or a list of values each
 [override]                         for all runs
-[rig.NAME]                         what the value NAME of the axis "rig" stands for: views, width, height, ...
+[rig.NAME]                         meaning of the value NAME of the axis "rig": views, width, height, ...
 [variant.NAME]                     a method with settings of its own
 [method.NAME]                      a method that is a program: command, timeout, ...
 [[exclude]]                        combinations that are left out: values, or lists of values, of some axes
@@ -44,11 +44,11 @@ class Cell:
 
     values: dict[str, Value]
     preset: Preset
-    measured: Measurement | None = None  # what is, of a study of measurements
+    measured: Measurement | None = None  # the measurement, of a study of measurements
 
     @property
     def label(self) -> str:
-        """What tells it from the others."""
+        """The values that tell it from the others."""
         return spelled(self.values)
 
 
@@ -62,7 +62,7 @@ class Study:
         cells: Every combination that is not excluded.
         excluded: How many are.
         table: The content of the file.
-        ends: What each combination is: a "run", a "capture" of a data set, or a "measurement".
+        ends: The kind of each combination: a "run", a "capture" of a data set, or a "measurement".
         absent: The published data sets that it names and that are not there.
     """
 
@@ -138,7 +138,7 @@ def _preset(name: Any) -> Preset:
 
 @contextmanager
 def at(path: Path, place: str) -> Iterator[None]:
-    """Name the file and the place in it in what goes wrong."""
+    """Name the file and the place in it in errors."""
     try:
         yield
     except ValueError as error:
@@ -229,7 +229,7 @@ class _Reader:
             seen[meant] = value
 
     def _meant(self, key: str, value: Value) -> Any:
-        """What values that mean the same have in common."""
+        """The common identity of values that mean the same."""
         scene = self._changes(key, value).adapted.get("scene") if key == "scene" else None
         return value if scene is None else scene_identity(scene)
 
@@ -272,11 +272,11 @@ class _Reader:
             shared = shared.without_render()  # it is for the scenes that are rendered
             if named := own.of_render():
                 raise ValueError(f"{self.path}: [grid]: {', '.join(named)} belong to a render, and {scene} is "
-                                 "photographed as it is: put it into a study of its own")  # fmt: skip
-        if "dark" in given:  # what [override] says of the capture is for the other scenes
+                                 "photographed unchanged: put it into a study of its own")  # fmt: skip
+        if "dark" in given:  # the capture's settings in [override] are for the other scenes
             if named := own.of_capture():
                 raise ValueError(f"{self.path}: [grid]: {', '.join(named)} belong to a simulated exposure, and {scene} "
-                                 "is dark as it is: put it into a study of its own")  # fmt: skip
+                                 "is dark already: put it into a study of its own")  # fmt: skip
         try:
             return applied(self.base, shared.and_(own), self.variants)
         except ValueError as error:

@@ -1,8 +1,8 @@
 """Light levels shaped after the data sets of the NOVA-GS paper: a camera, its light, and which pictures it delivers.
 
 The paper says in words and histograms how dark and how noisy its data sets are, and which have 16 bits; it names
-neither cameras nor electrons. `source` is its words, the rest is chosen to fit them; docs/light-levels.md measures what
-comes of it.
+neither cameras nor electrons. `source` is its words, the rest is chosen to fit them; docs/light-levels.md measures the
+result.
 """
 
 from dataclasses import dataclass
@@ -23,8 +23,8 @@ class Level:
     Attributes:
         sensor: Name of a camera of `sensor_model.PRESETS`.
         electrons: Mean signal of the green channel over the set, e- per pixel and exposure.
-        pictures: What methods that can take either are given: 8-bit sRGB, or linear 16-bit.
-        title: What it stands for, in a sentence.
+        pictures: The pictures for methods that can take either: 8-bit sRGB, or linear 16-bit.
+        title: Its meaning, in a sentence.
         source: The paper's words on the data set.
     """
 

@@ -32,12 +32,12 @@ Config = TypeVar("Config", bound="DataclassInstance")
 
 @dataclass(frozen=True, kw_only=True)
 class Preset:
-    """An experiment: what to render, how to photograph it, which methods with which settings."""
+    """An experiment: the scene to render, how to photograph it, which methods with which settings."""
 
     render: RenderConfig
     folder: Path | None = None  # a set folder to photograph instead of a render
     photos: PosesConfig | None = None  # or photographs, of which a set is made first
-    dark: Path | None = None  # or dark photographs, of a study: imported as they are, nothing is captured
+    dark: Path | None = None  # or dark photographs, of a study: imported unchanged, nothing is captured
     imported: ImportConfig = field(default_factory=ImportConfig)  # how
     capture: CaptureConfig
     methods: tuple[str, ...]  # names of methods or variants
@@ -74,7 +74,7 @@ class Preset:
         )  # fmt: skip
 
     def refuse_lacking(self) -> None:
-        """Refuse methods that lack what none of the stages before them can give: said before any work.
+        """Refuse methods that lack data which none of the stages before them can give: said before any work.
 
         Raises:
             LacksInput: If there is one.
@@ -86,7 +86,7 @@ class Preset:
             config = self.reconstruct(name)
             refuse_without_weights(config.config, name)
             if photographs and METHODS[config.variant.method].sees_surface:
-                raise LacksInput(f"{name} follows the true surface, and that of photographs is not known: leave it out")
+                raise LacksInput(f"{name} follows the true surface, which is not known of photographs: leave it out")
 
     def _recipe(self, name: str) -> "_Recipe":
         return _Recipe.of(chosen(name, with_variants(self.variants)), self.settings)
@@ -100,7 +100,7 @@ def _published(make: Callable[[], Any], key: str) -> bool:
 
 @dataclass(frozen=True)
 class _Recipe:
-    """What the configuration of a method is made of; equal if all of it is, types of numbers included."""
+    """The parts of a method's configuration; equal if all parts are, types of numbers included."""
 
     text: str
     make: Callable[[], Any]
@@ -213,10 +213,10 @@ def adapted(
     """The preset with some settings changed; None keeps its own.
 
     The caller's own variants are compared with the preset's methods, unless `methods` lists everything. A `scene` that
-    is a folder is photographed as it is, and of `photos` (a folder or a video, with its `fps`) a set is made first;
+    is a folder is photographed unchanged, and of `photos` (a folder or a video, with its `fps`) a set is made first;
     photographs are scaled to the preset's size unless `max_size` says another. Photographs that are `dark` already are
-    imported as they are, in their own size unless `max_size` says another. A `level` names camera, electrons and
-    pictures (`levels.LEVELS`), of which each can be given by itself as well.
+    imported unchanged, in their own size unless `max_size` says another. A `level` names camera, electrons and pictures
+    (`levels.LEVELS`), of which each can be given by itself as well.
 
     Raises:
         ValueError: If a value is out of range, or one of a render is given for a folder.
@@ -280,7 +280,7 @@ def _bare(photos: Path | None, fps: float | None, seed: int | None, also: str | 
 
 def _refuse_of_render(source: str, **given: int | None) -> None:
     if named := [f"--{name}" for name, value in given.items() if value is not None]:
-        raise ValueError(f"{', '.join(named)} belong to a render, and {source} is photographed as it is: leave out "
+        raise ValueError(f"{', '.join(named)} belong to a render, and {source} is photographed unchanged: leave out "
                          f"{'it' if len(named) == 1 else 'them'} (--max-size scales pictures down)")  # fmt: skip
 
 

@@ -72,7 +72,7 @@ def _numbers(rows: Sequence[Row], parts: Sequence[str]) -> dict[str, Any]:
 
 
 def _lost(rows: Mapping[int, Row], reference: Mapping[int, Row]) -> dict[str, Any]:
-    """20 log10 of the error over that of the default of the same seed: what scenes have in common drops out."""
+    """20 log10 of the error over the default's error with the same seed: common effects of scenes drop out."""
     pairs = [(rows[seed]["error"], reference[seed]["error"]) for seed in rows if seed in reference]
     if not pairs or min(min(pair) for pair in pairs) <= 0:  # no decibels where an error is zero
         return {"db_lost": None, "db_lost_sd": None}
@@ -86,7 +86,9 @@ def sd(values: list[float]) -> float:
 
 
 def write_curves(folder: Path, points: Iterable[Point]) -> Path:
-    """Write the points of some subjects into `curves.jsonl`, beside those of others that are there already."""
+    """Write the points of some subjects into `curves.jsonl`, beside the points of other subjects that are there
+    already.
+    """
     path, points = folder / CURVES, list(points)
     new = {point["knob"].partition(".")[0] for point in points}
     kept = [point for point in read_curves(path) if point["knob"].partition(".")[0] not in new] if path.exists() else []
@@ -95,7 +97,7 @@ def write_curves(folder: Path, points: Iterable[Point]) -> Path:
 
 
 def read_curves(path: Path) -> list[Point]:
-    """The points of a file of curves, or of the one in a folder.
+    """The points of a file of curves, or of the file in a folder.
 
     Raises:
         ValueError: If the file cannot be read, or holds a line that is not a point.

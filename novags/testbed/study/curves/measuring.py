@@ -1,7 +1,7 @@
 """A study of measurements: a knob is an axis, each is turned alone, and a repetition is a seed.
 
 [measure]
-subject = "render"                 what is measured: render, sensor, splats, or a method that declares knobs
+subject = "render"                 the thing measured: render, sensor, splats, or a method that declares knobs
 [override]                         sizes of the work
 [grid]                             seed, and of the knobs that are named some of their settings; none named: all of all
 [quick.override]  [quick.grid]     what `novags pareto --quick` changes
@@ -25,7 +25,7 @@ TABLES = ("measure", "override", "grid", "quick")
 
 
 def read_any(path: Path, data: Path | None = None) -> Study:
-    """The study of a file, of runs or of measurements; arguments and errors as those of `read_study`."""
+    """The study of a file, of runs or of measurements; arguments and errors as for `read_study`."""
     table = read_toml(path)
     return measurements_of(path, table) if "measure" in table else read_study(path, data)
 
@@ -39,9 +39,9 @@ def measurements_of(
     Args:
         path: The file.
         table: Its content.
-        subject: Of a file that names none: what is measured.
-        quick: With what the file has for that.
-        seeds: Instead of those of the file.
+        subject: The subject of a file that names none.
+        quick: With the file's tables for that.
+        seeds: Instead of the file's.
 
     Raises:
         ValueError: If a name is unknown or a value is refused; one line that names the file and the place.
@@ -92,7 +92,7 @@ def _settings(of: Subject, given: Mapping[str, Any]) -> dict[str, tuple[Setting,
             raise ValueError(f"{name}: {brief(repr(wrong[0]), 60)} is not among its settings, "
                              f"{', '.join(map(str, knob.settings))}")  # fmt: skip
         found[name] = tuple(setting for setting in knob.settings if setting in chosen)
-        replace(knob, settings=found[name])  # refuses those without the default
+        replace(knob, settings=found[name])  # refuses settings without the default
     return found
 
 

@@ -1,4 +1,6 @@
-"""The studies behind curves: the file of each subject that ships, what of it is missing, and why something is again."""
+"""The studies behind curves: the file of each subject that ships, its missing measurements, and why one is made
+again.
+"""
 
 import os
 from collections.abc import Iterator, Sequence
@@ -25,15 +27,15 @@ def plans(
     what: str, store: Path, console: Console, *, knobs: Sequence[str] = (), quick: bool = False,
     repeats: int | None = None,
 ) -> list[Plan]:  # fmt: skip
-    """What there is to measure, and what is measured already.
+    """Measurements to make, and finished ones.
 
     Args:
         what: A subject, "all", or a study file of one's own.
         store: The store.
         console: Where notes go.
-        knobs: Those to measure; none: all. What the store has of others is kept.
+        knobs: Those to measure; none: all. Stored measurements of others are kept.
         quick: With small sizes.
-        repeats: Seeds, 0 to repeats - 1; None: those of the file. What the store has of further ones is kept.
+        repeats: Seeds, 0 to repeats - 1; None: the file's. Stored measurements of further ones are kept.
 
     Raises:
         ValueError: If there is no such subject or knob.
@@ -47,7 +49,7 @@ def plans(
 
 
 def _with_kept(name: str, quick: bool, seeds: Sequence[int] | None, store: Path, console: Console) -> Plan:
-    """The study of a subject, with what the store has of further seeds."""
+    """The study of a subject, with stored measurements of further seeds."""
     file = STUDIES / f"{name if name in PARTS else 'method'}.toml"
     table = read_toml(file)
 
@@ -61,7 +63,7 @@ def _with_kept(name: str, quick: bool, seeds: Sequence[int] | None, store: Path,
 
 
 def subject_of(plan: Plan) -> str:
-    """The name of what is measured."""
+    """The name of the subject."""
     return str(plan.study.table["measure"]["subject"])
 
 
@@ -77,7 +79,7 @@ def told(plan: Plan, store: Path) -> Iterator[str]:
 
 
 def again(plan: Plan, out: Path) -> str:
-    """Why what the table in `out` has is measured again; "" if it is not."""
+    """Why the measurements in the table in `out` are made again; "" if they are not."""
     rows = read_json(out / TABLE, ROWS)["rows"] if (out / TABLE).exists() else []
     before = {tuple(row.get(name) for name in plan.study.axes): row["folder"] for row in rows if row["state"] == "done"}
     for cell, key in plan.runs:

@@ -1,1 +1,1 @@
-"""Studies whose store is at a URL: what is there, and how nodes without a common folder work with it."""
+"""Studies whose store is at a URL: its entries, and how nodes without a common folder work with it."""

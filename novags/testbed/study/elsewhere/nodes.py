@@ -1,4 +1,4 @@
-"""Entries whose store is at a URL: a node fetches what it lacks to a folder of its own, works there, and sends."""
+"""Entries whose store is at a URL: a node fetches missing inputs to a folder of its own, works there, and sends."""
 
 import re
 import secrets
@@ -29,7 +29,7 @@ class Away:
     """An entry that a node has to make or find.
 
     Attributes:
-        chain: The task, after all that it is made from.
+        chain: The task, after all its inputs.
         threads: Of each of these.
         url: The store.
         scratch: Folder on each node that holds the folder of entries, see `scratch_folder`; None: that for temporary
@@ -45,7 +45,7 @@ class Away:
 
 
 def make(away: Away, console: Console) -> dict[str, Any]:
-    """Make sure that an entry is complete in the store; what nodes do. Returns as `entry.ensure`, and its scores."""
+    """Make sure that an entry is complete in the store; called on nodes. Returns as `entry.ensure`, and its scores."""
     scratch = scratch_folder(Path(away.scratch or tempfile.gettempdir()).expanduser())
     contents: dict[str, str] = {}
     for task, threads in zip(away.chain, away.threads, strict=True):
@@ -105,7 +105,7 @@ def _fetched(order: Order, remote: Remote, console: Console) -> Seal | None:
 
 
 def known(plan: Plan, remote: Remote, folder: Path) -> dict[str, Outcome]:
-    """What of a study is complete in its store; nothing but seals and scores is fetched.
+    """The complete entries of a study in its store; nothing but seals and scores is fetched.
 
     Args:
         plan: The study.
@@ -113,12 +113,12 @@ def known(plan: Plan, remote: Remote, folder: Path) -> dict[str, Outcome]:
         folder: Where the seals and scores go, laid out as a store.
 
     Returns:
-        The outcome of each entry whose seal is there and fits those of what it is made from. That its other files are
-        as they were is seen when they are needed.
+        The outcome of each entry whose seal is there and fits the seals of its inputs. Changes of its other files are
+        noticed when they are needed.
     """
     names = {kind: remote.names(kind) for kind in {task.kind for task in plan.tasks.values()}}
     found: dict[str, Outcome] = {}
-    for key, task in plan.tasks.items():  # each comes after what it needs
+    for key, task in plan.tasks.items():  # each comes after the tasks it needs
         if task.name not in names[task.kind] or not all(need in found for need in task.needs):
             continue
         made_of = {**{need: found[need].said["content"] for need in task.needs}, **depends(task)}

@@ -1,7 +1,7 @@
 """A store at a URL that fsspec knows (s3://, gs://, sftp://, file://, ...), laid out as one on a disk.
 
-An entry is there when its seal is, which is written last. Everything that is fetched is compared with the checksums of
-the seal, so that two studies that send the same entry at once, or a transfer that broke, cost a repetition at most.
+An entry is there when its seal is, which is written last. Every fetched file is compared with the checksums of the
+seal, so that two studies that send the same entry at once, or a transfer that broke, cost a repetition at most.
 """
 
 from concurrent.futures import ThreadPoolExecutor
@@ -19,7 +19,7 @@ FETCHED = ".fetched.json"  # the seal of an entry whose files are not all there 
 
 
 class Damaged(ValueError):
-    """An entry at a URL is not as it was sealed."""
+    """An entry at a URL has changed since it was sealed."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Remote:
             folder: Where its seal is put, under the name `FETCHED`: its files are not there yet.
 
         Raises:
-            Damaged: If the seal cannot be read, or is that of another entry.
+            Damaged: If the seal cannot be read, or belongs to another entry.
         """
         content = self.read(task, SEAL)
         if content is None:
@@ -85,17 +85,17 @@ class Remote:
             raise Damaged(f"{self.url}/{task.kind}/{task.name}: {error}") from error
         assert seal is not None
         if seal.key != task.key or any("/" in name for name in seal.records):
-            raise Damaged(f"{self.url}/{task.kind}/{task.name}: its seal is that of another entry")
+            raise Damaged(f"{self.url}/{task.kind}/{task.name}: its seal belongs to another entry")
         return seal
 
     def fetch(self, task: Task, folder: Path) -> Seal | None:
-        """Bring an entry into a folder, which the caller has locked; what is there and right is kept.
+        """Bring an entry into a folder, which the caller has locked; right files that are there are kept.
 
         Returns:
             Its seal, which is in the folder then; None if the entry is not complete. Nothing half fetched stays.
 
         Raises:
-            Damaged: If files are missing or not as they were sealed; the folder is empty then.
+            Damaged: If files are missing or have changed since they were sealed; the folder is empty then.
         """
         try:
             seal = self.seal(task, folder)
@@ -127,7 +127,7 @@ class Remote:
             with atomic(path) as temporary:
                 fs.get_file(_path(root, task, name), str(temporary))
         except FileNotFoundError:
-            path.unlink(missing_ok=True)  # what is there is wrong
+            path.unlink(missing_ok=True)  # the file there is wrong
 
     def send(self, task: Task, folder: Path, seal: Seal) -> None:
         """Put a complete entry there; the seal goes last, and an earlier one comes off first."""

@@ -22,18 +22,18 @@ from sensor_model.files import outside
 from sensor_model.files.atomic import write_text
 from sensor_model.files.door import read_text
 
-MARKER = ".novags-store"  # in a store that nodes share: what they see must be the same folder
+MARKER = ".novags-store"  # in a store that nodes share: all must see the same folder
 
 
 @dataclass(frozen=True)
 class Work:
-    """A study and what is predicted of its tasks.
+    """A study and the predictions of its tasks.
 
     Attributes:
         plan: The study.
         out: Its folder.
         store: The store; of one at a URL, a folder for seals and scores.
-        costs: What tasks will cost.
+        costs: The predicted costs of tasks.
         longest: Seconds from the start of each task to the end of the longest chain that begins with it, by key.
         watcher: Hears when tasks start, proceed and end.
         known: How some tasks have ended before.
@@ -60,7 +60,7 @@ class Work:
         return str((self.out / log_of(task)).absolute())
 
     def order(self, key: str, results: Mapping[str, Any], threads: int) -> Order:
-        """What a worker is sent."""
+        """The message to a worker."""
         task = self.plan.tasks[key]
         source = self.plan.tasks[task.needs[0]].folder(self.store) if task.needs else task.source
         made_of = {need: result["content"] for need, result in results.items()}
@@ -89,7 +89,7 @@ class OneMachine:
     Attributes:
         places: Processes at a time.
         cores: Threads of each.
-        ahead: Workers that have been started already; those that have other threads are not used.
+        ahead: Workers that have been started already; workers with another number of threads are not used.
     """
 
     places: int
@@ -98,7 +98,7 @@ class OneMachine:
 
     @staticmethod
     def shared(runs: int, wanted: int | None, ahead: Sequence[Worker] = ()) -> "OneMachine":
-        """All cores, divided among processes. What is done already does not change them, so that bits stay the same.
+        """All cores, divided among processes. Finished work does not change their number, so that bits stay the same.
 
         Args:
             runs: Of the study.
@@ -115,7 +115,7 @@ class OneMachine:
 
     @staticmethod
     def whole(ahead: Sequence[Worker] = ()) -> "OneMachine":
-        """One process at a time, with all cores: what ran beside a measurement would be measured too."""
+        """One process at a time, with all cores: other work beside a measurement would be measured too."""
         return OneMachine(1, cores_here(), ahead)
 
     @property
@@ -194,7 +194,7 @@ def log_of(task: Task) -> str:
 
 
 def _mark(store: Path) -> tuple[str, str]:
-    """Write what nodes must find in the store."""
+    """Write the files that nodes must find in the store."""
     path = (store / MARKER).absolute()
     text = read_text(path) if path.exists() else ""
     if not text:

@@ -1,4 +1,6 @@
-"""Many jobs on the nodes of a Ray cluster. Ray schedules, retries and moves results; what can start is decided here."""
+"""Many jobs on the nodes of a Ray cluster. Ray schedules, retries and moves results; the choice of jobs to start is
+made here.
+"""
 
 import logging
 import os
@@ -19,21 +21,21 @@ from novags.testbed.study.engines.worker import Outcome
 from sensor_model.files.atomic import appending
 from sensor_model.files.reading import brief
 
-LOOK = 0.5  # s between two looks at what the nodes say
-AHEAD = 2  # tasks handed to Ray for each that can run: nodes do not wait, and what is urgent does not queue for long
+LOOK = 0.5  # s between two looks at the nodes' messages
+AHEAD = 2  # tasks handed to Ray for each that can run: nodes do not wait, and urgent tasks do not queue for long
 NODES_EVERY = 10.0  # s between two looks at which nodes there are
 TELL_EVERY = 2.0  # s between two reports of a task
 
 
 @dataclass(frozen=True)
 class Terms:
-    """What jobs ask for.
+    """The resources that jobs ask for.
 
     Attributes:
         resources: Of a job by its key, as Ray calls them: CPU, GPU, and memory in bytes if the user said how much.
         memory: Bytes that it will take at its peak, where the user did not.
         seconds: That it will take.
-        order: Of the jobs that can start, the one with the largest goes first.
+        order: Of the jobs that can start, the job with the largest number goes first.
         retries: Times that a job is tried again after its process or its node was lost.
         address: Of the cluster; None: `RAY_ADDRESS`, one that runs on this machine, or else one started here.
         environment: Further variables of the process that does a job.
@@ -54,9 +56,9 @@ class Cluster:
 
     Attributes:
         place: MODULE:FUNCTION that does a job, see `worker`.
-        request: What a node is sent for a job, from its key and the results of those that it needs: "task", "marker"
+        request: The message to a node for a job, from its key and the results of the jobs it needs: "task", "marker"
             (see `node.do`), and "log", where its output goes on this machine.
-        terms: What jobs ask for.
+        terms: The resources that jobs ask for.
         watcher: Hears when tasks start, proceed and end.
     """
 
@@ -75,15 +77,15 @@ class Cluster:
         self.queue = Queue(self.watcher, self.terms.order)
 
     def run(self, jobs: Iterable[Job], known: Mapping[str, Outcome] | None = None) -> dict[str, Outcome]:
-        """Do all jobs, each after those that it needs; returns how each ended.
+        """Do all jobs, each after the jobs it needs; returns how each ended.
 
         Args:
             jobs: The jobs.
             known: How some of them have ended before; they are not tried.
 
         Raises:
-            OSError: If no cluster is found, or a node cannot go on, for example because a disk is full. What is
-                finished is kept.
+            OSError: If no cluster is found, or a node cannot go on, for example because a disk is full. Finished work
+                is kept.
         """
         jobs = list(jobs)
         self._needs = {job.key: job.needs for job in jobs}
@@ -102,7 +104,7 @@ class Cluster:
         return self.queue.outcomes
 
     def _submit(self, ray: Any, board: Any) -> None:
-        """Hand to Ray what the nodes can do soon."""
+        """Hand to Ray the tasks that the nodes can do soon."""
         for key in self.queue.ready():
             self._alive(ray)
             if len(self._refs) >= AHEAD * self._places:
@@ -122,12 +124,14 @@ class Cluster:
             self._refs[task.remote(self.place, key, request, environment, board)] = (key, log)
 
     def _asked(self, ray: Any, key: str) -> dict[str, float]:
-        """What a job takes of its node. A prediction of memory keeps it from no node: the largest will do."""
+        """The resources that a job takes of its node. A prediction of memory keeps it from no node: the largest will
+        do.
+        """
         largest = max((resources.get("memory", 0.0) for resources in self._alive(ray)), default=0.0)
         return {"memory": float(int(min(self.terms.memory(key), largest))), **self.terms.resources(key)}
 
     def _strategy(self, key: str) -> Any:
-        """Near what a job is made from: that is in the memory or on the disk of the node that made it."""
+        """Near the inputs of a job: they are in the memory or on the disk of the node that made them."""
         from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
         for need in self._needs[key]:
@@ -156,9 +160,9 @@ class Cluster:
             )
 
     def _hear(self, ray: Any, board: Any) -> None:
-        """Wait a little for results, and take those that came."""
+        """Wait a little for results, and take all that came."""
         if not self._refs:
-            time.sleep(LOOK)  # another process is at work on all that is left
+            time.sleep(LOOK)  # another process is at work on all remaining tasks
         else:
             done, _ = ray.wait(list(self._refs), num_returns=1, timeout=LOOK)
             if done:
@@ -192,7 +196,7 @@ class Cluster:
         done = _result(ray, ref, self.terms.retries)
         _append(Path(log), done.log)
         if done.outcome.state == "machine":
-            raise OSError(f"{done.outcome.said}: what is finished is kept; fix that and run the same command again")
+            raise OSError(f"{done.outcome.said}: finished work is kept; fix that and run the same command again")
         if done.outcome.state == "busy":
             self.queue.busy(key, done.outcome.said)
             return
@@ -201,7 +205,7 @@ class Cluster:
         self.queue.end(key, done.outcome)
 
     def _stop(self, ray: Any) -> None:
-        """Let what runs mark how far it is and end."""
+        """Let running tasks mark their progress and end."""
         refs = list(self._refs)
         with suppress(ray.exceptions.RayError):
             for ref in refs:
@@ -223,7 +227,7 @@ class Board:
         self.said.append((key, where, message))
 
     def take(self) -> list[tuple[str, str, Any]]:
-        """What has been said since."""
+        """The new output since."""
         said, self.said = self.said, []
         return said
 
@@ -246,7 +250,7 @@ def on_node(place: str, key: str, request: Mapping[str, Any], environment: Mappi
 
 
 def _result(ray: Any, ref: Any, retries: int) -> node.Done:
-    """What a task sent back; if it could not, how it ended as far as Ray knows."""
+    """The answer of a task; if it could give none, how it ended as far as Ray knows."""
     tried = f" (tried {retries + 1} times)"
     try:
         done: node.Done = ray.get(ref)

@@ -1,4 +1,4 @@
-"""One task after another in this process, which shows what it does as it goes: the default of `novags run`."""
+"""One task after another in this process, which shows its progress: the default of `novags run`."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -19,7 +19,7 @@ class Here:
     Attributes:
         console: Where its stages report.
         places: Tasks at a time.
-        errors: What tasks failed with.
+        errors: The errors of failed tasks.
     """
 
     console: Console
@@ -36,7 +36,7 @@ class Here:
 
         Raises:
             BlockingIOError: If another process is at work on one of them.
-            OSError: If the machine cannot go on, because a disk is full, say. What is finished is kept.
+            OSError: If the machine cannot go on, because a disk is full, say. Finished work is kept.
         """
         places = {key: place for place, key in enumerate(work.plan.tasks)}
         make, queue = function_at(TASKS), Queue(work.watcher, lambda key: -places[key])

@@ -11,20 +11,20 @@ from novags.testbed.study.engines.processes import Worker
 from novags.testbed.study.engines.queue import Job, Queue, Watcher, lateness
 from novags.testbed.study.engines.worker import Outcome
 
-LOOK = 0.5  # s between two looks at what is free
+LOOK = 0.5  # s between two looks at the free memory
 STOP = 10.0  # s that workers get to mark how far they are
 MARGIN = 1.2  # times the predicted memory is kept free for a job
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What a pool may use, and what it knows of jobs by their keys.
+    """What a pool may use, and its knowledge of jobs by their keys.
 
     Attributes:
         workers: Processes at a time.
         memory: Bytes that a job will take at its peak.
         seconds: That it will take.
-        order: Of the jobs that can start, the one with the largest goes first.
+        order: Of the jobs that can start, the job with the largest number goes first.
     """
 
     workers: int
@@ -39,11 +39,11 @@ class Pool:
 
     Attributes:
         place: MODULE:FUNCTION that does a job, see `worker`.
-        request: What a worker is sent for a job, from its key and the results of those that it needs.
-        limits: What may be used.
+        request: The message to a worker for a job, from its key and the results of the jobs it needs.
+        limits: The memory that may be used.
         watcher: Hears when tasks start, proceed and end.
-        environment: Variables of the workers, beside those of this process.
-        workers: Those that there are; they end with the pool.
+        environment: Variables of the workers, beside this process's own.
+        workers: The present workers; they end with the pool.
     """
 
     place: str
@@ -58,14 +58,14 @@ class Pool:
         self.queue = Queue(self.watcher, self.limits.order)
 
     def run(self, jobs: Iterable[Job], known: Mapping[str, Outcome] | None = None) -> dict[str, Outcome]:
-        """Do all jobs, each after those that it needs; returns how each ended.
+        """Do all jobs, each after the jobs it needs; returns how each ended.
 
         Args:
             jobs: The jobs.
             known: How some of them have ended before; they are not tried.
 
         Raises:
-            OSError: If the machine cannot go on, because a disk is full, say. What is finished is kept.
+            OSError: If the machine cannot go on, because a disk is full, say. Finished work is kept.
         """
         try:
             self.queue.fill(jobs, known or {})
@@ -98,7 +98,7 @@ class Pool:
         idle.give(key, request, time.monotonic())
 
     def _fits(self, key: str) -> bool:
-        """Whether memory holds one more job: what the others will still take counts as taken."""
+        """Whether memory holds one more job: the predicted growth of the others counts as taken."""
         if not self._busy:
             return True  # waiting would not make more room
         needed = self._memory(key) - max((w.resident for w in self.workers if w.key is None), default=0)
@@ -116,9 +116,9 @@ class Pool:
         return MARGIN * self.limits.memory(key)
 
     def _hear(self) -> None:
-        """Wait a little for messages, and take those that came."""
+        """Wait a little for messages, and take all that came."""
         if not self.workers:
-            time.sleep(LOOK)  # another process is at work on all that is left
+            time.sleep(LOOK)  # another process is at work on all remaining tasks
         told = wait([worker.connection for worker in self.workers], LOOK)
         for worker in [worker for worker in self.workers if worker.connection in told]:
             try:
@@ -138,7 +138,7 @@ class Pool:
     def _answered(self, worker: Worker, key: str, outcome: Outcome) -> None:
         worker.key = None
         if outcome.state == "machine":
-            raise OSError(f"{outcome.said}: what is finished is kept; fix that and run the same command again")
+            raise OSError(f"{outcome.said}: finished work is kept; fix that and run the same command again")
         if outcome.state == "busy":
             self.queue.busy(key, outcome.said)
         else:
@@ -149,7 +149,7 @@ class Pool:
         worker.connection.close()
         said = worker.death()
         if not worker.ready:
-            raise OSError(f"a worker could not start: {said}; what it printed stands above")
+            raise OSError(f"a worker could not start: {said}; its output stands above")
         if worker.key is not None:
             self.queue.end(worker.key, Outcome("failed", said))
 

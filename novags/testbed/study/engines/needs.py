@@ -1,4 +1,4 @@
-"""What a task takes of a node of a cluster, and how that is said on the command line."""
+"""The needs of a task on a node of a cluster, and their form on the command line."""
 
 import math
 import re
@@ -16,12 +16,12 @@ UNITS = {"": 1e9, "GB": 1e9, "MB": 1e6}  # a bare number means GB
 
 @dataclass(frozen=True)
 class Needs:
-    """What a task takes.
+    """The needs of a task.
 
     Attributes:
         cpus: Cores, which are the threads that it uses.
         gpus: GPUs, or a part of one; with 0 it sees none.
-        memory: Bytes; None: what it is predicted to take, with a margin.
+        memory: Bytes; None: the prediction, with a margin.
     """
 
     cpus: int = 1
@@ -71,11 +71,11 @@ def _amount(part: str, text: str) -> tuple[str, float]:
 
 
 def fits(asked: Mapping[str, float], node: Mapping[str, float]) -> bool:
-    """Whether a node has, when it is idle, what a task asks for; both as Ray calls resources."""
+    """Whether an idle node has the resources that a task asks for; both as Ray calls them."""
     return all(node.get(name, 0.0) >= amount for name, amount in asked.items())
 
 
 def resources(needs: Needs) -> dict[str, float]:
-    """What was said that a task asks for, as Ray calls resources; memory only if it was."""
+    """The stated needs of a task, as Ray calls resources; memory only if it was stated."""
     asked = {"CPU": float(needs.cpus), "GPU": needs.gpus}
     return asked if needs.memory is None else {**asked, "memory": float(math.ceil(needs.memory))}

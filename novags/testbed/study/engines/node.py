@@ -1,4 +1,4 @@
-"""What runs on the nodes of a Ray cluster: each Ray worker hands its tasks to a process as `local` has them.
+"""Code on the nodes of a Ray cluster: each Ray worker hands its tasks to a process as `local` has them.
 
 That process has its threads limited from its start, its output goes to the log of the task, and a library that crashes
 takes it alone. It stays for the next task with the same environment, and ends with the Ray worker.
@@ -29,7 +29,7 @@ class Lost(Exception):
 
     Args:
         said: How it ended.
-        log: What it had printed.
+        log: Its output so far.
     """
 
     def __init__(self, said: str, log: str) -> None:
@@ -39,18 +39,18 @@ class Lost(Exception):
 
 @dataclass(frozen=True)
 class Done:
-    """What a node sends back: how a task ended, what it printed, and where it was done."""
+    """The answer of a node: how a task ended, its output, and where it was done."""
 
     outcome: Outcome
     log: str
     node: str
 
 
-_kept: dict[tuple[Any, ...], Worker] = {}  # at most one, by what it was started with
+_kept: dict[tuple[Any, ...], Worker] = {}  # at most one, by its settings
 
 
 def do(place: str, request: Mapping[str, Any], environment: Mapping[str, str], tell: Tell) -> tuple[Outcome, str]:
-    """Do a task; returns how it ended and what it printed.
+    """Do a task; returns how it ended and its output.
 
     Args:
         place: MODULE:FUNCTION that does it, see `worker`.
@@ -109,7 +109,7 @@ def _end_kept() -> None:
 
 
 def _outcome(worker: Worker, tell: Tell) -> Outcome | None:
-    """Pass on what a process reports until its task is over; None if the process ends first."""
+    """Pass on the reports of a process until its task is over; None if the process ends first."""
     while True:
         if not worker.connection.poll(LOOK):
             continue

@@ -15,8 +15,8 @@ from novags.testbed.console.memory import resident_bytes
 from sensor_model.files import outside
 from sensor_model.files.python import python
 
-TASKS = "novags.testbed.study.steps:make"  # what the workers of a study do
-# Ctrl-C on a terminal reaches all its processes: the parent decides what becomes of its workers.
+TASKS = "novags.testbed.study.steps:make"  # the code of the workers of a study
+# Ctrl-C on a terminal reaches all its processes: the parent decides on the fate of its workers.
 PROGRAM = """import signal
 signal.signal(signal.SIGINT, signal.SIG_IGN)
 from novags.testbed.study.engines.worker import main
@@ -29,7 +29,9 @@ def threads_of(workers: int) -> int:
 
 
 def threads_environment(threads: int) -> dict[str, str]:
-    """What limits the threads of a process from its start. Dr.Jit reads none of these: renders share all cores."""
+    """Variables that limit the threads of a process from its start. Dr.Jit reads none of these: renders share all
+    cores.
+    """
     names = ("OMP", "OPENBLAS", "MKL", "NUMBA", "VECLIB_MAXIMUM", "NUMEXPR")
     return {f"{name}_NUM_THREADS": str(threads) for name in names}
 

@@ -12,7 +12,7 @@ At = tuple[str, int, int, str]  # stage, steps done, steps in all, what
 
 
 class StudyProgress:
-    """Shows how many runs are done, what each worker does and how long it will take.
+    """Shows how many runs are done, the work of each worker and how long it will take.
 
     Args:
         console: Where it goes.
@@ -60,7 +60,7 @@ class StudyProgress:
             self.bars.update(self.lines[key], completed=k, total=n or None, what=shown(f"{stage} {at}"))
 
     def close(self) -> None:
-        """Leave the terminal as it was."""
+        """Restore the terminal."""
         if self.bars is not None:
             self.bars.stop()
 

@@ -18,7 +18,7 @@ class Job(Protocol):
 
     @property
     def key(self) -> str:
-        """What it is called here."""
+        """Its name here."""
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -53,7 +53,7 @@ class Queue:
 
     Attributes:
         watcher: Hears when tasks start, proceed and end.
-        order: Of the jobs that can start, the one with the largest comes first.
+        order: Of the jobs that can start, the job with the largest number comes first.
         outcomes: How jobs ended, by key.
     """
 
@@ -86,14 +86,14 @@ class Queue:
         return len(self.outcomes) < len(self._jobs)
 
     def ready(self) -> list[str]:
-        """The jobs that can start now, in order; `take` those that do."""
+        """The jobs that can start now, in order; `take` the started ones."""
         while self._later and self._later[0][0] <= time.monotonic():
             _, key = heapq.heappop(self._later)
             insort(self._ready, (-self.order(key), key))
         return [key for _, key in self._ready]
 
     def take(self, key: str) -> dict[str, Any]:
-        """A job starts; returns the results of those that it needs."""
+        """A job starts; returns the results of the jobs it needs."""
         self._ready.remove((-self.order(key), key))
         return {need: self.outcomes[need].said for need in self._jobs[key].needs}
 
@@ -124,8 +124,8 @@ class Queue:
 
 
 def lateness(taken: float, expected: float) -> str | None:
-    """What to say of a job that takes much longer than predicted; None of any other."""
+    """A note on a job that takes much longer than predicted; None for any other."""
     if taken <= max(LATE_SECONDS, LATE * expected):
         return None
-    return (f"a task has run for {taken / 60:.0f} min, {taken / max(expected, 1e-9):.0f} times what was predicted; "
+    return (f"a task has run for {taken / 60:.0f} min, {taken / max(expected, 1e-9):.0f} times the prediction; "
             "it goes on")  # fmt: skip

@@ -1,7 +1,7 @@
 """A worker process: it takes one task after another from the process that started it, and ends with it.
 
 Its arguments are the descriptor of a pipe and MODULE:FUNCTION. The function does a task; it gets a `Console` that
-reports its progress, and may raise anything. What it prints goes to the log of the task.
+reports its progress, and may raise anything. Its output goes to the log of the task.
 """
 
 import ctypes
@@ -49,7 +49,7 @@ class Outcome:
             because one that it needs has failed.
         said: The result, or the reason in a line.
         stage: Where it failed.
-        cause: Of what was "skipped": the job that failed.
+        cause: Of a "skipped" job: the job that failed.
     """
 
     state: str
@@ -59,7 +59,7 @@ class Outcome:
 
 
 class Reporting(Console):
-    """A console that tells the parent process what it shows; notes go to the log."""
+    """A console that passes its display to the parent process; notes go to the log."""
 
     def __init__(self, tell: Callable[[tuple[str, int, int, str]], None]) -> None:
         super().__init__(stream=sys.stderr)
@@ -106,7 +106,7 @@ def main() -> None:
 
 
 def _listen(connection: Connection, tasks: "queue.SimpleQueue[bytes]") -> None:
-    """Pass on tasks. When the parent ends, this process ends too, whatever it is doing.
+    """Pass on tasks. When the parent ends, this process ends too, even at work.
 
     They stay packed: unpacking imports modules, and two threads that import the same ones meet them half made.
     """

@@ -1,1 +1,1 @@
-"""What can be measured: choices that trade accuracy for time, and how a setting of each is measured."""
+"""Choices to measure, which trade accuracy for time, and how a setting of each is measured."""

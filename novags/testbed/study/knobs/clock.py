@@ -20,7 +20,7 @@ def fastest(call: Callable[[], Any], repeat: int, seconds: float = 20.0) -> tupl
     """Least seconds of a call, on the wall and of all processors.
 
     Args:
-        call: What is timed; it has run once before, so that everything it needs is compiled and cached.
+        call: The function to time; it has run once before, so that everything it needs is compiled and cached.
         repeat: Most calls; at least one.
         seconds: No further call after these, except that there are three if `repeat` allows it.
     """

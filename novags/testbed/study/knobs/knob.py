@@ -40,16 +40,16 @@ class Knob:
 
     Attributes:
         name: Unique in its subject.
-        settings: What is measured, from the fastest on.
+        settings: The measured settings, from the fastest on.
         default: One of them.
         unit: Of the error.
-        of: What the seconds are of: "a view".
+        of: The unit of work of the seconds: "a view".
         why: Why the default is the default.
         measure: (setting, seed, folder of the seed's capture where the subject has some) -> one measurement. The seed
             varies what a repetition may vary.
         shared: Knobs with the same word here have one measurement of their defaults in common; None: with nobody.
         option: The option of `novags run` that the knob is, for `--budget`; None: it has none.
-        parts: The parts of the work whose time a setting changes; what others take differs by chance.
+        parts: The parts of the work whose time a setting changes; the time of others differs by chance.
     """
 
     name: str
@@ -68,7 +68,7 @@ class Knob:
             raise ValueError(f"the settings of {self.name} must be different ones and hold the default {self.default}")
 
     def called(self, setting: Setting) -> tuple[str, Setting]:
-        """What a measurement is stored under."""
+        """The identity under which a measurement is stored."""
         common = self.shared is not None and setting == self.default
         return (f"default of {self.shared}", None) if common else (self.name, setting)
 
@@ -79,9 +79,9 @@ class Subject:
 
     Attributes:
         name: render, sensor, ...
-        workload: What they are measured on: scene, sizes, counts. Points of two workloads never meet in one curve.
+        workload: The work they are measured on: scene, sizes, counts. Points of two workloads never meet in one curve.
         knobs: In the order of the page.
-        modules: The modules that measure, and those of the rows that they use.
+        modules: The modules that measure, and the modules of the rows that they use.
         pictured: The experiment whose capture a seed is measured on; None: none is needed.
     """
 

@@ -1,4 +1,4 @@
-"""One measurement as a stage: what this machine takes and errs at one setting of a knob with one seed."""
+"""One measurement as a stage: the time and the error on this machine at one setting of a knob with one seed."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -20,7 +20,7 @@ SHAPE = {"seconds": float, "cpu_seconds": float, "error": float, "parts": {"*": 
 
 @dataclass(frozen=True)
 class Measurement:
-    """What is measured: a setting of a knob of a subject with a seed."""
+    """One thing to measure: a setting of a knob of a subject with a seed."""
 
     of: str  # name of the subject
     sizes: Sizes
@@ -44,7 +44,7 @@ class Measurement:
         return code_of(*self.subject.modules)  # the rows of other subjects change nothing
 
     def resolved(self) -> dict[str, Any]:
-        """What a measurement depends on, the machine included."""
+        """Everything a measurement depends on, the machine included."""
         name, setting = self.knob.called(self.setting)
         found = {"subject": self.of, "workload": self.subject.workload, "knob": name, "setting": setting,
                  "seed": self.seed, **environment()}  # fmt: skip
@@ -56,7 +56,7 @@ def measure(out: Path, config: Measurement, captured: Path | None, console: Cons
 
     Args:
         out: Its folder.
-        config: What is measured.
+        config: The thing to measure.
         captured: The capture of the seed, of a subject that is measured on one.
         console: Where progress goes.
     """

@@ -13,7 +13,7 @@ SIZES = ("views", "width", "height", "spp", "points", "iterations", "denoiser_st
 
 
 def measured_as(method: str) -> str:
-    """What of a method is measured: the preset's first variant of it, or the method itself if it has none."""
+    """The measured variant of a method: the preset's first variant of it, or the method itself if it has none."""
     return next((name for name in PRESET.methods if chosen(name).method == method), method)
 
 

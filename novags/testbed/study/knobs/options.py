@@ -17,9 +17,8 @@ WORDS = {
 
 
 def values(preset: Preset) -> dict[str, int]:
-    """What a preset has for each option.
-
-    Those that its source does not have, nor any of its methods unless a variant decides them itself, are missing.
+    """The value of a preset for each option. An option is missing if neither its source nor any of its methods has it;
+    a method whose variant decides it itself does not count.
     """
     plans = [preset.reconstruct(name) for name in preset.methods]
     found: dict[str, int | None] = {

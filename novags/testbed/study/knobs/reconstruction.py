@@ -62,7 +62,7 @@ class Bench:
         return self.base.reconstruct(self.base.methods[0])
 
     def knobs(self) -> tuple[Knob, ...]:
-        """Those that every reconstruction has around those that the method declares."""
+        """The knobs of every reconstruction, around the method's own."""
         work = iterated(self.reconstruct)
         rows = {"iterations": replace(ITERATIONS, parts=work), **self._declared, **RENDER,
                 "resolution": replace(RESOLUTION, parts=("render", *work))}  # fmt: skip
@@ -73,7 +73,7 @@ class Bench:
         return METHODS[self.reconstruct.variant.method].knobs
 
     def modules(self) -> tuple[str, ...]:
-        """What measures, and what the stages of every setting use."""
+        """The modules that measure, and the modules that the stages of every setting use."""
         turned = [self.preset(row, setting, 0) for row in self._declared.values() for setting in row.settings]
         plain = (self.base.render.code, self.base.capture.code, self.reconstruct.code)
         found = (*plain, *(preset.reconstruct(preset.methods[0]).code for preset in turned))
@@ -124,7 +124,7 @@ class Bench:
         return adapted(self.base, scene=f"{SCENE}:{seed}", seed=seed, **given)
 
     def measure(self, row: MethodKnob, setting: Setting, seed: int, captured: Path) -> Measured:
-        """One measurement; what is rendered anew for it counts into its seconds. `captured`: with no knob turned."""
+        """One measurement; new renders for it count into its seconds. `captured`: with no knob turned."""
         preset, parts = self.preset(row, setting, seed), dict[str, float]()
         plain, rendering = open_capture(captured), (0.0, 0.0)
         with ExitStack() as held:
@@ -134,7 +134,7 @@ class Bench:
                 capture, rendering = photographed(preset, own), clock.read()
                 spent = read_json(own / "set" / "set.json")["seconds"]  # samples and pixels change the light alone
                 parts["render"] = rendering[1] * spent["radiance"] / sum(spent.values())
-            # of a smaller render the error is that at full size; of a noisier one, against what it shows itself
+            # of a smaller render the error is taken at full size; of a noisier one, against its own light
             truth = plain if row.option == "size" else capture
             config = preset.reconstruct(preset.methods[0])
             prepared = prepare(capture, capture.source(QUIET), config, QUIET)

@@ -35,7 +35,7 @@ def sensor(side: int) -> Subject:
 
 
 def _timed(take: Callable[[], Any], error: Callable[[Any], float], pixels: int) -> Measured:
-    """Seconds per megapixel of `take`, and the error of what it gives."""
+    """Seconds per megapixel of `take`, and the error of its result."""
     found = error(take())
     wall, cpu = fastest(take, CALLS)
     return Measured(wall / pixels * 1e6, cpu / pixels * 1e6, found)
@@ -56,7 +56,7 @@ def _knob(name: str, settings: tuple[Setting, ...], default: Setting, unit: str,
 
 
 def _shot(level: float, side: int) -> Knob:
-    """Normal for Poisson. Error: Kolmogorov distance of the codes to those of exact frames with other seeds."""
+    """Normal for Poisson. Error: Kolmogorov distance of the codes to the codes of exact frames with other seeds."""
     light = np.full((side, side), level / PLAIN.eta)
 
     def measured(shot: Any, seed: int) -> Measured:
@@ -66,7 +66,7 @@ def _shot(level: float, side: int) -> Knob:
             lambda dn: kolmogorov(dn, exact), light.size,
         )  # fmt: skip
 
-    why = "exact at every level, and light is scarce here; what is left of its error is that of two samples"
+    why = "exact at every level, and light is scarce here; the rest of its error is the distance of any two samples"
     unit = "Kolmogorov distance of codes"
     return _knob(f"shot noise at {level:g} e-", ("normal", "poisson"), "poisson", unit, why, measured)
 
@@ -86,12 +86,12 @@ def _light(side: int) -> Knob:
             lambda dn: float(np.abs(dn - exact).mean()), light.size,
         )  # fmt: skip
 
-    why = "renders are float32 files and are taken as they are; arrays of float64 are not narrowed"
+    why = "renders are float32 files and are not converted; arrays of float64 are not narrowed"
     return _knob("light", ("float32", "float64"), "float64", "mean |DN|", why, measured)
 
 
 def _precision(side: int) -> Knob:
-    """Width of the arithmetic. Error: share of the codes that differ from those of float64, all by one."""
+    """Width of the arithmetic. Error: share of the codes that differ from float64's, all by one."""
     light = _random_light(side)
 
     def measured(precision: Any, seed: int) -> Measured:

@@ -32,7 +32,7 @@ KNOBS: dict[str, tuple[tuple[Setting, ...], Setting, str]] = {
         "as in 3DGS and gsplat; small pictures want less, and the presets demo and small take 0.1",
     ),
     "float_bits": ((32, 64), 32, "its rounding errs far less than the thresholds do; only the slow reference has 64"),
-    "backend": (("numba", "torch"), "numba", "the same picture up to rounding; torch is what it is tested against"),
+    "backend": (("numba", "torch"), "numba", "the same picture up to rounding; torch is its reference in tests"),
     "tile": ((8, 16), 16, "the same picture; the faster of the two on pictures of the usual sizes"),
 }  # fmt: skip
 
@@ -78,10 +78,10 @@ def truth(n: int, size: int, seed: int, supersampled: bool) -> bytes:
 
 
 def in_child(order: dict[str, Any], code: str) -> dict[str, Any]:
-    """What the child process says.
+    """The answer of the child process.
 
     Args:
-        order: What it has to do.
+        order: Its work.
         code: Name of the folder for compiled kernels, in the user's own cache: machine code in the folder of the
             measurements would run whoever had made that folder.
 

@@ -1,4 +1,4 @@
-"""What can be measured by name: parts of the simulation, each a file here, and every method that declares knobs."""
+"""Subjects by name: parts of the simulation, each a file here, and every method that declares knobs."""
 
 from collections.abc import Callable, Mapping
 from difflib import get_close_matches
@@ -37,7 +37,7 @@ def sizes_of(name: str, given: Mapping[str, Any]) -> Sizes:
     (name,) = chosen(name)
     known = tuple(signature(PARTS[name]).parameters) if name in PARTS else SIZES
     unknown = [key for key in given if key not in known]
-    missing = [key for key in known if key not in given] if name in PARTS else []  # a method's are those of the preset
+    missing = [key for key in known if key not in given] if name in PARTS else []  # a method takes the preset's
     if unknown or missing:
         raise ValueError(f"the sizes of {name} are {', '.join(known)}; got {', '.join(given) or 'none'}")
     if bad := [key for key, value in given.items() if type(value) is not int or not 1 <= value < 1 << 31]:
@@ -47,7 +47,7 @@ def sizes_of(name: str, given: Mapping[str, Any]) -> Sizes:
 
 @lru_cache(maxsize=8)
 def subject_of(name: str, sizes: Sizes) -> Subject:
-    """The subject of this name, on work of these sizes; one that this process has met keeps what it has prepared."""
+    """The subject of this name, on work of these sizes; a subject that this process has met keeps its preparations."""
     return PARTS[name](**dict(sizes)) if name in PARTS else reconstruction(name, dict(sizes))
 
 

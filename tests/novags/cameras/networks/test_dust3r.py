@@ -210,9 +210,9 @@ def test_a_checkpoint_that_would_run_code_is_refused_and_runs_none(shown, weight
     [
         ({"model": {"body.weight": torch.zeros(1, 2)}}, r"1 of its tensors are missing, head.weight for one"),
         ({"model": {"head.weight": torch.zeros(3, 2)}}, r"size mismatch|Error\(s\) in loading"),
-        ({"args": argparse.Namespace(model="Other(img_size=(512, 512))")}, r"its arguments are those of 'Other"),
+        ({"args": argparse.Namespace(model="Other(img_size=(512, 512))")}, r"its arguments belong to 'Other"),
         ({"args": argparse.Namespace(model="{name}(img_size=(224, 224))")}, r"they are for pictures of 224 px"),
-        ({"args": argparse.Namespace(model="{name}((512, 512))")}, r"its arguments are those of"),
+        ({"args": argparse.Namespace(model="{name}((512, 512))")}, r"its arguments belong to"),
         ({"args": None}, "has no attribute 'model'"),
     ],
 )

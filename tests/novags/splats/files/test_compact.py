@@ -188,5 +188,5 @@ def test_a_ply_is_padded_to_degree_3_on_request(tmp_path, degree):
     assert not again.sh[:, k:].any()
     assert b"property float f_rest_44" in (tmp_path / "a.ply").read_bytes()
     if degree:
-        with pytest.raises(ValueError, match=f"sh_degree must be at least {degree}, that of the Gaussians, got 0"):
+        with pytest.raises(ValueError, match=f"sh_degree must be at least {degree}, the Gaussians' degree, got 0"):
             write_ply(tmp_path / "a.ply", g, sh_degree=0)

@@ -230,7 +230,7 @@ def test_transparent_pixels_of_a_photograph_are_before_white_and_that_is_said_wh
     found = getattr(source, read)(1)
     assert (found[:10] == 1).all()
     np.testing.assert_array_equal(found[10:], plain[1][10:])
-    assert "have an alpha channel: what is behind transparent pixels counts as white" in stream.getvalue()
+    assert "have an alpha channel: the background of their pixels counts as white" in stream.getvalue()
 
 
 def test_views_that_are_called_unlike_their_files_are_said_to_be_named_in_a_capture(tmp_path: Path) -> None:

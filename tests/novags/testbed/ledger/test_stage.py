@@ -64,7 +64,7 @@ def test_an_edited_record_is_refused(tmp_path: Path, old: str, new: str) -> None
     refuse_damage(tmp_path, read_json(path)["stage"], "make it again")
     assert old in path.read_text()
     path.write_text(path.read_text().replace(old, new))
-    with pytest.raises(ValueError, match=r"record(.json)? not as written .checksum.; put back what was there, or make"):
+    with pytest.raises(ValueError, match=r"record(.json)? not as written .checksum.; put back the original, or make"):
         refuse_damage(tmp_path, read_json(path)["stage"], "make it again")
 
 
@@ -303,9 +303,7 @@ def test_too_little_memory_is_one_line_that_says_what_to_do(tmp_path: Path, shor
     def work() -> None:
         raise shortage
 
-    with pytest.raises(
-        MemoryError, match=r"^toy: .*memory is not enough .*: what is finished is kept; .* fewer points"
-    ):
+    with pytest.raises(MemoryError, match=r"^toy: .*memory is not enough .*: finished work is kept; .* fewer points"):
         stage(tmp_path, work)
 
 

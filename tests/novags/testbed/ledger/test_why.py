@@ -85,7 +85,7 @@ def test_where_only_texts_changed_the_result_is_kept_and_that_is_said(
     stage(tmp_path, writes(tmp_path, calls))
     stage(tmp_path, writes(tmp_path, calls), code=Code(CODE.files, {**CODE.texts, "b.py": "2"}), console=Console())
     assert calls == ["called"]
-    assert "only texts, or what it does not use, changed in b.py" in said(capsys)
+    assert "only texts, or code it does not use, changed in b.py" in said(capsys)
 
 
 def test_a_result_whose_code_was_not_recorded_is_not_replaced_unasked(tmp_path: Path) -> None:

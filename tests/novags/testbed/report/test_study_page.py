@@ -157,7 +157,7 @@ def test_runs_that_were_not_tried_say_why(study: Path, tmp_path: Path) -> None:
         (tmp_path / name).write_text(text)
     page = write_study(tmp_path).read_text(encoding="utf-8")
     assert "Runs that failed, or were not tried" in page
-    assert "<dd>what it needs has failed: no lamp in the scene</dd>" in page
+    assert "<dd>a task it needs has failed: no lamp in the scene</dd>" in page
     assert "<dd>the &lt;disk&gt; broke</dd>" in page
 
 

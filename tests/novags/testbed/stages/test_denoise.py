@@ -80,7 +80,7 @@ def test_undistorted_pixels_of_three_chips_share_their_noise(distorted: bool, ca
     assert opened.channels_share == ()
     assert opened.pixels_share == (("resampling",) if distorted else ())
     if distorted:
-        with pytest.raises(LacksInput, match="that of neighbouring pixels is shared through resampling"):
+        with pytest.raises(LacksInput, match="neighbouring pixels' noise is shared through resampling"):
             stages.denoise(tmp_path / "in", tmp_path / "out", CONFIG, QUIET)
     else:
         assert stages.denoise(tmp_path / "in", tmp_path / "out", CONFIG, QUIET)["pictures"] == list(opened.names)

@@ -173,7 +173,7 @@ def test_a_fault_of_a_node_stops_everything_and_is_no_failure(
     cluster: Callable[..., Any], fake: ModuleType, diary: Any, tmp_path: Path
 ) -> None:
     tasks = [fake.task("a", fails="full"), fake.task("b", "a")]
-    with pytest.raises(OSError, match=r"No space left on device.*what is finished is kept"):
+    with pytest.raises(OSError, match=r"No space left on device.*finished work is kept"):
         cluster(tasks).run(tasks)
     (tmp_path / "marker").write_text("one store")
     with pytest.raises(OSError, match=r"does not see the store .*: give --store a folder of all nodes, or a URL"):

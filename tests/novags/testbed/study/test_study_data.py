@@ -109,7 +109,7 @@ def test_what_cannot_be_found_is_one_line_that_says_what_to_do(
 
 
 def test_axes_of_a_simulated_exposure_do_not_go_with_photographs(tmp_path: Path, data: Path) -> None:
-    with pytest.raises(ValueError, match="electrons belong to a simulated exposure, and .*buu is dark as it is"):
+    with pytest.raises(ValueError, match="electrons belong to a simulated exposure, and .*buu is dark already"):
         read(tmp_path, '"data:LOM/buu"', data, "electrons = [5, 20]")
 
 

@@ -193,7 +193,7 @@ WRONG = {
     "weights": ("[grid]\nmethod=['naive', 'mbllen-gs']", "mbllen-gs, seed 0: mbllen-gs: MBLLEN has no weights"),
     "surface": (
         "[grid]\nscene='photos'\nmethod=['averaging']",
-        "averaging follows the true surface, and that of photo",
+        "averaging follows the true surface, which is not known of photo",
     ),
     "gpu": ("[grid]\nmethod='naive'\ndevice='gpu'", "device must be one of auto, cpu, cuda, got 'gpu'"),
 }

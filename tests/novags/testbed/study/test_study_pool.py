@@ -124,7 +124,7 @@ def test_a_fault_of_the_machine_stops_everything_and_is_no_failure(
     pool: Callable[..., Any], fake: ModuleType, diary: Any, how: str
 ) -> None:
     tasks = [fake.task("a", fails=how), fake.task("b", "a")]
-    with pytest.raises(OSError, match=r"No space left on device.*what is finished is kept"):
+    with pytest.raises(OSError, match=r"No space left on device.*finished work is kept"):
         pool(tasks).run(tasks)
     assert not [event for event, *_ in diary.events if event in ("failed", "skipped")]
 

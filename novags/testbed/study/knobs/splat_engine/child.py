@@ -69,6 +69,6 @@ PLAIN = (("float_bits", 64), ("backend", "torch"))
 
 
 def main() -> None:
-    """Do what the order in the first argument says."""
+    """Carry out the order in the first argument."""
     order = json.loads(sys.argv[1])
     print(json.dumps((truth if order.pop("do") == "truth" else measure)(**order)))

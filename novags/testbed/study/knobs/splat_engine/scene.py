@@ -17,7 +17,7 @@ NAMES = ("means", "quats", "scales", "opacities", "sh")
 
 
 def cube_scene(n: int, size: int, seed: int = 0) -> dict[str, Tensor]:
-    """Small Gaussians in [-1, 1]^3, about half as wide as they are apart, seen from outside."""
+    """Small Gaussians in [-1, 1]^3, about half as wide as their distances, seen from outside."""
     g = torch.Generator().manual_seed(seed)
     view = torch.eye(4)
     view[2, 3] = 3.0

@@ -208,7 +208,7 @@ def test_an_interrupted_experiment_goes_on_with_what_was_chosen(work: Work, tmp_
     work.do(Request(PRESET, 120.0), tmp_path / "x", console)
     assert work.tried == 1
     assert work.ran[0].settings["fit.iterations"] == 500
-    assert "going on with what was chosen before" in console.lines[0]
+    assert "going on with the earlier choice" in console.lines[0]
     state = json.loads((tmp_path / "x" / "budget.json").read_text())
     assert state["seconds"] == 100.0  # of both calls, as if there had been one
 

@@ -214,7 +214,7 @@ WRONG: dict[str, tuple[str, str]] = {
     "type in a stage": ("[override]\nrender.width = 'x'", "[override] render.width: render width must be a whole"),
     "range of a stage's setting": ("[grid]\nrender.width = 3", "[grid] render.width: width and height must be >= 16"),
     "range in a rig": ("[grid]\nrig='a'\n[rig.a]\nwidth=3", "[rig.a] width: width and height must be >= 16 px"),
-    "seed of the capture": ("[grid]\n'capture.seed' = [1]", "capture.seed: the seed of the noise is that of the run"),
+    "seed of the capture": ("[grid]\n'capture.seed' = [1]", "capture.seed: the noise has the seed of the run"),
     "override": ("[override]\nspp = 1", "[override] spp: spp must be >= 2"),
     "override key": ("[override]\nspps = 8", "[override] spps: there is no such key; did you mean 'spp'"),
     "method's setting": ("[override]\nfit.rates.schedule='x'", "schedule must be 'original' or 'gsplat'"),

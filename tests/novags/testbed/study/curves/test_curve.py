@@ -174,7 +174,7 @@ def test_a_default_off_the_front_is_said_to_be(made: Any) -> None:
     clear = [point("own", 2, 1.0, 0.1, False), point("x", 1, 0.2, 0.1, True)]
     assert "off the front (x: faster and more accurate beyond the spread)" in said(clear)
     once = [{**each, "error_sd": 0.0, "repeats": 1} for each in near]
-    assert "off the front; what was measured once has no known spread" in said(once)
+    assert "off the front; a single measurement has no known spread" in said(once)
     assert "not measured" in said([{**clear[1]}])
 
 

@@ -20,7 +20,7 @@ def test_of_several_settings_all_must_agree_to_be_the_default() -> None:
     row = MethodKnob(settings={"thin": {"w": (1, 2), "b": 3}, "wide": {"w": (1, 2), "b": 9}}, why="so")
     assert row.default({"w": (1, 2), "b": 9}) == "wide"
     with pytest.raises(
-        ValueError, match=r"no setting of the knob is that of the configuration \(w = \(1, 2\), b = 4\)"
+        ValueError, match=r"no setting of the knob agrees with the configuration \(w = \(1, 2\), b = 4\)"
     ):
         row.default({"w": (1, 2), "b": 4})
 
