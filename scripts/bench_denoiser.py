@@ -22,7 +22,7 @@ from torch import Tensor
 from novags.methods.denoised.anscombe import Anscombe
 from novags.methods.denoised.config import AdaptConfig
 from novags.methods.denoised.estimate import estimate_all
-from novags.methods.denoised.measured import Measured, of_capture
+from novags.methods.denoised.measured import MeasuredPictures, of_capture
 from novags.methods.denoised.recorrupted import adapt
 from novags.methods.denoised.weights import PACKAGED, load_weights
 from novags.methods.enhancers.choice import EnhanceConfig
@@ -60,7 +60,7 @@ class Pictures:
             dn=self.dn, cfa=sensor.cfa, black=sensor.black_level, white=sensor.white_dn, balance=(red, green, blue)
         )
         noise = camera_noise(sensor, EXPOSURE, demosaic="menon", color_matrix=None)
-        self.pictures: Measured = of_capture(noise, raw, None, ())
+        self.pictures: MeasuredPictures = of_capture(noise, raw, None, ())
         self.params = [enhance(dark, EnhanceConfig())[1] for dark in self.dark]
         self.reference = self.enhanced(self.truth)
 

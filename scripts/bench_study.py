@@ -33,10 +33,10 @@ from novags.process import settle
 from novags.testbed.console.terminal import Console
 from novags.testbed.ledger.code import Code
 from novags.testbed.ledger.stage import run_stage
-from novags.testbed.study.engines.local import Limits, Pool
+from novags.testbed.study.engines.local import Pool, PoolLimits
 from novags.testbed.study.engines.processes import threads_environment
 from novags.testbed.study.engines.worker import Outcome
-from novags.testbed.study.entry import Order, Step, Task, ensure
+from novags.testbed.study.entry import Order, StageStep, Task, ensure
 
 STUDY = """
 preset = "demo"
@@ -97,7 +97,7 @@ def nothing(order: Order, console: Console) -> dict[str, Any]:
         run_stage("nothing", order.folder, made, code=Code({}, {}), inputs=lambda: {}, config={}, owns=(made,),
                   prepare=lambda: None, work=lambda _: {}, console=console)  # fmt: skip
 
-    return ensure(order, {"nothing": Step(stage, made)}, console)
+    return ensure(order, {"nothing": StageStep(stage, made)}, console)
 
 
 def empty(folder: Path, count: int) -> float:
@@ -111,7 +111,7 @@ def empty(folder: Path, count: int) -> float:
         return {"task": order, "log": str(folder / "logs" / key)}
 
     before = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    Pool("bench_study:nothing", request, Limits(1), Mute(), threads_environment(1)).run(tasks.values())
+    Pool("bench_study:nothing", request, PoolLimits(1), Mute(), threads_environment(1)).run(tasks.values())
     after = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     return sum(b.ru_utime + b.ru_stime - a.ru_utime - a.ru_stime for a, b in zip(before, after, strict=True))
 

@@ -9,7 +9,7 @@ from novags.options import Name
 
 if TYPE_CHECKING:
     from novags.testbed.console.terminal import Console
-    from novags.testbed.study.plan import Plan
+    from novags.testbed.study.plan import StudyPlan
 
 
 def pareto(
@@ -63,7 +63,7 @@ def pareto(
             raise SystemExit(1)
 
 
-def _measured(plan: "Plan", out: Path, store: Path, console: "Console") -> int:
+def _measured(plan: "StudyPlan", out: Path, store: Path, console: "Console") -> int:
     """Make missing measurements and write the curves; returns how many failed, which the next start tries again."""
     from novags.testbed.report.curves.page import write
     from novags.testbed.study.conduct import conduct

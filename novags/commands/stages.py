@@ -158,7 +158,7 @@ def capture(
     from novags.testbed.ledger.dry import dry_run as dry
     from novags.testbed.ledger.dry import planned
     from novags.testbed.stages.configs.capturing import CaptureConfig
-    from novags.testbed.study.cells.levels import Level, level_named
+    from novags.testbed.study.cells.levels import LightLevel, level_named
 
     named = CaptureConfig() if level is None else level_named(level)
     config = CaptureConfig(
@@ -171,7 +171,7 @@ def capture(
             stages.capture(set, out, config, console, overwrite=overwrite)
         planned(console, "export", [out / name for name in export])
         say(out)
-        pictures = " --pictures 16bit" if isinstance(named, Level) and named.pictures == "16bit" else ""
+        pictures = " --pictures 16bit" if isinstance(named, LightLevel) and named.pictures == "16bit" else ""
         next_(f"novags reconstruct {typed(out)} --method nova-fast{pictures} --out RUN")
 
 

@@ -10,7 +10,7 @@ from novags.commands.shared import say, typed
 from novags.options import Folder, Folders
 
 if TYPE_CHECKING:
-    from novags.testbed.ledger.pruning import Entry
+    from novags.testbed.ledger.pruning import StoreEntry
 
 
 def store(
@@ -45,7 +45,7 @@ def store(
     _prune(unreferenced(found, ends), len(found), dry_run)
 
 
-def _prune(dead: "list[Entry]", count: int, dry_run: bool) -> None:
+def _prune(dead: "list[StoreEntry]", count: int, dry_run: bool) -> None:
     from novags.testbed.ledger.pruning import drop
 
     busy = list[Path]()
@@ -76,7 +76,7 @@ def _ends(place: Path, folder: Path) -> set[str]:
     return {key[:KEY] for key in plan_of(read_any(place), folder, shared.console(), here=False).tasks}
 
 
-def _counted(found: "list[Entry]") -> str:
+def _counted(found: "list[StoreEntry]") -> str:
     unfinished = sum(not entry.complete for entry in found)
     size = sum(entry.size for entry in found) / 1e6
     return f"{len(found)} entries, {size:,.1f} MB" + (f" ({unfinished} unfinished)" if unfinished else "")

@@ -13,7 +13,7 @@ from novags.options import CLUSTER, Cluster, Folder
 if TYPE_CHECKING:
     from novags.testbed.study.engines.choice import Engine
     from novags.testbed.study.engines.processes import Worker
-    from novags.testbed.study.plan import Plan
+    from novags.testbed.study.plan import StudyPlan
 
 
 def study(
@@ -133,7 +133,7 @@ def _whole(asked: "Engine", ahead: "Sequence[Worker]") -> "Engine":
     return OneMachine.whole(ahead)
 
 
-def _forecast(plan: "Plan", folder: Path, engine: "Engine", url: str | None, nodes: tuple[int, ...]) -> str:
+def _forecast(plan: "StudyPlan", folder: Path, engine: "Engine", url: str | None, nodes: tuple[int, ...]) -> str:
     from novags.testbed.study.elsewhere.nodes import known
     from novags.testbed.study.elsewhere.remote import Remote
     from novags.testbed.study.forecast import forecast
@@ -146,7 +146,7 @@ def _forecast(plan: "Plan", folder: Path, engine: "Engine", url: str | None, nod
 
 
 def _conduct(
-    plan: "Plan", out: Path, folder: Path, engine: "Engine", url: str | None, retry_failed: bool, overwrite: bool,
+    plan: "StudyPlan", out: Path, folder: Path, engine: "Engine", url: str | None, retry_failed: bool, overwrite: bool,
     wait: bool,
 ) -> None:  # fmt: skip
     from novags.testbed.study.conduct import conduct

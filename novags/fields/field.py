@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from novags.fields.layout import ENCODED, FEATURES, FIRST_DENSITY, HIDDEN, LANES, SIDE, Layout
+from novags.fields.layout import ENCODED, FEATURES, FIRST_DENSITY, HIDDEN, LANES, SIDE, FieldLayout
 
 
 @dataclass
@@ -25,7 +25,7 @@ class Field:
             the network says, else 0: uint8 [96^3], z-major, not trained.
     """
 
-    layout: Layout
+    layout: FieldLayout
     table: Tensor
     w1: Tensor
     b1: Tensor
@@ -49,7 +49,7 @@ class Field:
         return {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("layout", "seeded")}
 
 
-def first_field(layout: Layout, seed: int, seeded: np.ndarray | None = None) -> Field:
+def first_field(layout: FieldLayout, seed: int, seeded: np.ndarray | None = None) -> Field:
     """A thin fog of one colour: features near zero, weights as He et al. (2015) for ReLU.
 
     Args:

@@ -24,7 +24,7 @@ SEEDED = 6.0  # added to the logarithm of the density in cells near first points
 
 
 @dataclass(frozen=True, kw_only=True)
-class Layout:
+class FieldLayout:
     """Sizes of a field.
 
     Attributes:

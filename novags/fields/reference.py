@@ -9,13 +9,13 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-from novags.fields.layout import BASIS, SEEDED, SIDE, Layout
+from novags.fields.layout import BASIS, SEEDED, SIDE, FieldLayout
 
 PRIMES = (1, 2654435761, 805459861)
 
 
 def evaluate_reference(
-    layout: Layout, tensors: Mapping[str, Tensor], seeded: Tensor, positions: Tensor, basis: Tensor
+    layout: FieldLayout, tensors: Mapping[str, Tensor], seeded: Tensor, positions: Tensor, basis: Tensor
 ) -> Tensor:
     """Raw outputs [S, K] at positions [S, 3] of the unit cube.
 
@@ -37,7 +37,7 @@ def evaluate_reference(
     return torch.cat([fixed, (viewed * directions[:, None]).sum(-1)], 1)
 
 
-def encode_reference(layout: Layout, table: Tensor, positions: Tensor) -> Tensor:
+def encode_reference(layout: FieldLayout, table: Tensor, positions: Tensor) -> Tensor:
     """Interpolated features of all levels [S, 32]."""
     parts = []
     for level, resolution in enumerate(layout.resolutions.tolist()):

@@ -5,7 +5,7 @@ import time
 import torch
 
 from novags.fields.box import box_of
-from novags.fields.layout import Layout
+from novags.fields.layout import FieldLayout
 from novags.fields.training.batch import Batch
 from novags.fields.training.config import FieldFitConfig
 from novags.fields.training.fit import fit_field
@@ -18,7 +18,7 @@ def warm() -> None:
     viewmat[2, 3] = 3.0
     K = torch.tensor([[16.0, 0, 8], [0, 16.0, 8], [0, 0, 1]])
     views, points = Views(viewmat[None], K[None], 16, 16), torch.rand(40, 3, generator=torch.Generator().manual_seed(0))
-    config = FieldFitConfig(iterations=2, rays=64, samples=4, layout=Layout(finest=32, log2_rows=10))
+    config = FieldFitConfig(iterations=2, rays=64, samples=4, layout=FieldLayout(finest=32, log2_rows=10))
     fit_field(views, points, box_of(views.centers, points), _loss, config)
 
 

@@ -45,7 +45,7 @@ class GaussianScene:
         return GaussianScene(gaussians, config.eps2d, config.antialiased, config.near_plane)
 
     def render(self, views: Views) -> tuple[Tensor, Tensor, Tensor]:
-        """As `Scene` says."""
+        """As `ReconstructedScene` says."""
         images, alphas = self.splatted(
             self.gaussians.sh, views, sh_degree=self.gaussians.sh_degree, render_mode="RGB+ED"
         )

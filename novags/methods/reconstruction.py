@@ -15,7 +15,7 @@ Space = Literal["enhanced", "linear", "lit"]
 Progress = Callable[[int, int, dict[str, float]], None]  # steps done, of how many, losses
 
 
-class Scene(Protocol):
+class ReconstructedScene(Protocol):
     """A reconstructed scene of any kind."""
 
     def render(self, views: Views) -> tuple[Tensor, Tensor, Tensor]:
@@ -57,7 +57,7 @@ class Reconstruction:
             too, to `NETWORK`, which the configuration of the enhancement names.
     """
 
-    scene: Scene
+    scene: ReconstructedScene
     space: Space
     config: Any
     enhancement: dict[str, Any] | None = None
@@ -77,11 +77,11 @@ class Reconstruction:
             )
 
     def render(self, views: Views) -> tuple[Tensor, Tensor, Tensor]:
-        """See `Scene.render`."""
+        """See `ReconstructedScene.render`."""
         return self.scene.render(views)
 
     def save(self, folder: Path) -> None:
-        """See `Scene.save`."""
+        """See `ReconstructedScene.save`."""
         self.scene.save(folder)
         if self.network is not None:
             write_tensors(folder / NETWORK, self.network)

@@ -17,7 +17,7 @@ import tyro
 from novags.fields.box import Box
 from novags.fields.evaluate import basis_of, evaluate, gradients
 from novags.fields.field import first_field
-from novags.fields.layout import SIDE, Layout
+from novags.fields.layout import SIDE, FieldLayout
 from novags.fields.march import Proposal, Rays, sampled, weights_of
 
 
@@ -44,7 +44,7 @@ def best(work: Callable[[], object], repeat: int) -> float:
 
 def main(options: Options) -> None:
     """Measure and print a table."""
-    rng, layout = np.random.default_rng(0), Layout(log2_rows=options.log2_rows)
+    rng, layout = np.random.default_rng(0), FieldLayout(log2_rows=options.log2_rows)
     field = first_field(layout, 0)
     wall = np.zeros((SIDE, SIDE, SIDE), np.float32)
     wall[SIDE // 2] = 100.0

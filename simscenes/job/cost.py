@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from simscenes.render.radiance import Method, View
+from simscenes.render.radiance import RenderedView, RenderMethod
 from simscenes.rigs import Rig
 
 PART = 1 / 64  # of the samples of a job, twice, to predict the time of the others
@@ -38,7 +38,7 @@ class Stopwatch:
 
 
 def predict_seconds(
-    method: Method, rig: Rig, views: dict[int, View], spp: int | None, target_error: float | None
+    method: RenderMethod, rig: Rig, views: dict[int, RenderedView], spp: int | None, target_error: float | None
 ) -> float:
     """Predict the seconds that rendering these views will take.
 
@@ -51,7 +51,7 @@ def predict_seconds(
         chosen = sorted({numbers[0], numbers[len(views) // 2], numbers[-1]})
         each = [views[i].pilot.seconds * views[i].predict_spp(target_error) for i in chosen]
         return sum(each) / len(each) * len(views)
-    first = View(method, rig, numbers[0])  # a view of its own: `views` must not depend on the prediction
+    first = RenderedView(method, rig, numbers[0])  # a view of its own: `views` must not depend on the prediction
     return first.seconds(spp or 2, PART * len(views)) * len(views)
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from simscenes.backend import backend_of, backend_status, using_variant
 from simscenes.loading.load import LoadedScene, build_scene, set_light_weights
-from simscenes.render.radiance import Method, View, view_seed
+from simscenes.render.radiance import RenderedView, RenderMethod, view_seed
 from simscenes.render.sensors import sensor_dict
 from simscenes.scenes import default_rig
 from simscenes.transport.effects import RR_USUAL
@@ -61,7 +61,7 @@ KNOBS: dict[str, tuple[Any, ...]] = {
 
 
 @dataclass(frozen=True)
-class Measured:
+class TimedError:
     """One measurement: seconds of a view on the wall and of all processors, and its error."""
 
     seconds: float
@@ -92,7 +92,7 @@ def integrator(mi: Any, s: Setting) -> Any:
     return mi.load_dict({"type": s.integrator, "max_depth": s.max_depth, "rr_depth": s.rr_depth})
 
 
-class Bench:
+class SceneBench:
     """A scene of the catalogue and its references, rendered once each: `N_VIEWS` views of size x size pixels."""
 
     def __init__(self, scene: str, size: int, seed: int = 0) -> None:
@@ -115,9 +115,9 @@ class Bench:
             set_light_weights(loaded, (self.weights or even) if s.lights == "weighed" else even, mi)
             yield mi, loaded
 
-    def view(self, mi: Any, loaded: LoadedScene, s: Setting, i: int, seed: int) -> View:
+    def view(self, mi: Any, loaded: LoadedScene, s: Setting, i: int, seed: int) -> RenderedView:
         """One view, prepared to be rendered with a setting, in the scene that `ready` gives for it."""
-        return View(Method(mi, mi.variant(), loaded, integrator(mi, s), seed=seed), self.rig, i)
+        return RenderedView(RenderMethod(mi, mi.variant(), loaded, integrator(mi, s), seed=seed), self.rig, i)
 
     def reference(self, s: Setting) -> list[Image]:
         """Deep renders of the views to a small error, in the setting's colours."""
@@ -159,7 +159,7 @@ class Bench:
 
         return drawn
 
-    def measure(self, knob: str, setting: Any, seed: int) -> Measured:
+    def measure(self, knob: str, setting: Any, seed: int) -> TimedError:
         """A setting of a knob, the others at their defaults.
 
         Raises:
@@ -171,7 +171,7 @@ class Bench:
             return self.missing(chosen, seed)
         return self.noise(chosen, seed, "spectral" if knob == "color" else "rgb")
 
-    def noise(self, s: Setting, seed: int, truth_in: str = "rgb") -> Measured:
+    def noise(self, s: Setting, seed: int, truth_in: str = "rgb") -> TimedError:
         """Seconds of a view, and its relative RMSE against the reference in RGB or in full spectra."""
         squares, spent = [], []
         for i, truth in enumerate(self.reference(replace(s, color=truth_in))):
@@ -179,9 +179,9 @@ class Bench:
             squares.append(((image - truth) ** 2).mean() / truth.mean() ** 2 - REFERENCE_ERROR**2)
             spent.append(seconds)
         wall, cpu = np.median(spent, 0)
-        return Measured(float(wall), float(cpu), float(np.sqrt(max(np.mean(squares), 0.0))))
+        return TimedError(float(wall), float(cpu), float(np.sqrt(max(np.mean(squares), 0.0))))
 
-    def missing(self, s: Setting, seed: int) -> Measured:
+    def missing(self, s: Setting, seed: int) -> TimedError:
         """Seconds of a view, and the light that its truncated paths lack: the same paths are followed to depth 64."""
         lacks, spent = [], []
         for i in range(N_VIEWS):
@@ -190,4 +190,4 @@ class Bench:
             lacks.append((deep - image).mean() / deep.mean())
             spent.append(seconds)
         wall, cpu = np.median(spent, 0)
-        return Measured(float(wall), float(cpu), float(np.mean(lacks)))
+        return TimedError(float(wall), float(cpu), float(np.mean(lacks)))

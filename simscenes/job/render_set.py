@@ -22,7 +22,7 @@ from simscenes.job.identity import (
     seconds_spent,
     without_nan,
 )
-from simscenes.job.views import Job, Progress, render_views
+from simscenes.job.views import Progress, RenderJob, render_views
 from simscenes.loading.checks.physical import offset_warning
 from simscenes.loading.load import LoadedScene, build_in_fewest_colors, build_scene, set_light_weights
 from simscenes.loading.reference import SceneLike, SceneRef
@@ -30,7 +30,7 @@ from simscenes.optics import Optics
 from simscenes.render.fitting import usual_rig
 from simscenes.render.framing import with_lens
 from simscenes.render.geometry import check_cameras
-from simscenes.render.radiance import Method
+from simscenes.render.radiance import RenderMethod
 from simscenes.rigs import Rig
 from simscenes.sets.multiview import MultiviewSet, load_set
 from simscenes.sets.names import numbered
@@ -146,7 +146,7 @@ def render_set(
         (out / "set.json").unlink(missing_ok=True)
         watch.earlier = seconds_spent(out, digest)
         with view_store(out, rig, optics.camera) as store:
-            job = Job(method, made, loaded, loaded.variant, rig, out, names, pixels, digest, store, watch, report)
+            job = RenderJob(method, made, loaded, loaded.variant, rig, out, names, pixels, digest, store, watch, report)
             views, predicted = render_views(job)
             with watch.stage("write"):
                 finished = finish_set(out, names, rig, seed, store, loaded.name)
@@ -156,7 +156,7 @@ def render_set(
         return _exported(load_set(out), export)
 
 
-def _facts(job: Job, made: TransportPlan) -> dict[str, Any]:
+def _facts(job: RenderJob, made: TransportPlan) -> dict[str, Any]:
     """Entries of set.json besides the configuration and the results of the views."""
     surfaces, rig = job.surfaces, job.rig
     return {
@@ -203,7 +203,7 @@ def _method(
     optics: Optics,
     seed: int,
     allow_outside: bool,
-) -> Method:
+) -> RenderMethod:
     """The scene in the variant the plan calls for, with the plan's lights, integrator and lens."""
     if not made.is_on(APERTURE):
         optics = replace(optics, aperture_radius=None, focus_distance=None)
@@ -211,4 +211,4 @@ def _method(
     with using_variant(variant, made.color) as mi:
         colored = loaded if made.color == loaded.color else build_scene(source, mi, allow_outside=allow_outside)
         set_light_weights(colored, made.light_weights, mi)
-        return Method(mi, mi.variant(), colored, mi.load_dict(made.integrator()), optics, frames, seed)
+        return RenderMethod(mi, mi.variant(), colored, mi.load_dict(made.integrator()), optics, frames, seed)

@@ -16,7 +16,7 @@ from simscenes.job.finish import ViewStore
 from simscenes.job.identity import SPENT, VIEW_KEY, finished_view, view_key
 from simscenes.loading.load import LoadedScene
 from simscenes.render.geometry import geometry_channels
-from simscenes.render.radiance import Method, Tick, View
+from simscenes.render.radiance import RenderedView, RenderMethod, Tick
 from simscenes.rigs import Rig
 from simscenes.sets.pictures.exr import write_exr
 from simscenes.sets.writers.camera_files import write_json
@@ -27,10 +27,10 @@ Progress = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True)
-class Job:
+class RenderJob:
     """The data that all views of one call share."""
 
-    method: Method
+    method: RenderMethod
     plan: TransportPlan
     surfaces: LoadedScene  # in the fewest colours, for the geometry; the scene of `method` may have more
     variant: str  # of `surfaces`
@@ -44,7 +44,7 @@ class Job:
     progress: Progress
 
 
-def render_views(job: Job) -> tuple[dict[str, Any], float]:
+def render_views(job: RenderJob) -> tuple[dict[str, Any], float]:
     """Render the missing views: samples, error and fireflies of every view, and the seconds predicted beforehand."""
     (job.out / "gt").mkdir(parents=True, exist_ok=True)
     paths = [job.out / "gt" / f"{name}.exr" for name in job.names]
@@ -53,7 +53,7 @@ def render_views(job: Job) -> tuple[dict[str, Any], float]:
     keys = [view_key(job.config, job.rig, i) for i in range(len(paths))]
     headers = [_rendered_before(job, i, path, key) for i, (path, key) in enumerate(zip(paths, keys, strict=True))]
     missing = [i for i, header in enumerate(headers) if header is None]
-    predicted, views = 0.0, {i: View(job.method, job.rig, i) for i in missing}
+    predicted, views = 0.0, {i: RenderedView(job.method, job.rig, i) for i in missing}
     if missing:
         job.progress(len(paths) - len(missing), len(paths), "predicting the time")
         with job.watch.stage("predict"):
@@ -84,7 +84,7 @@ def render_views(job: Job) -> tuple[dict[str, Any], float]:
     return found, predicted
 
 
-def _rendered_before(job: Job, i: int, path: Path, key: str) -> dict[str, Any] | None:
+def _rendered_before(job: RenderJob, i: int, path: Path, key: str) -> dict[str, Any] | None:
     """Header of a view that an earlier call finished, else None; its light and depth go into the store."""
     with job.watch.stage("write"):
         if (found := finished_view(path, key)) is None:
@@ -94,7 +94,7 @@ def _rendered_before(job: Job, i: int, path: Path, key: str) -> dict[str, Any] |
         return header | {QUARTERS: noise_by_brightness(channels)}
 
 
-def _render_view(job: Job, view: View, path: Path, key: str, tick: Tick) -> dict[str, Any]:
+def _render_view(job: RenderJob, view: RenderedView, path: Path, key: str, tick: Tick) -> dict[str, Any]:
     with job.watch.stage("geometry"), using_variant(job.variant) as mi:
         channels = geometry_channels(mi, job.surfaces, job.rig, view.i)
     with job.watch.stage("radiance"), using_variant(job.method.variant):

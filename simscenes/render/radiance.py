@@ -33,7 +33,7 @@ MAX_FILM_SPP = 1024  # of a film in float32: relative bias 1e-6 there, 1e-4 at 6
 
 
 @dataclass(frozen=True)
-class Method:
+class RenderMethod:
     """How to render a view: everything but the view itself and how long."""
 
     mi: Any
@@ -53,7 +53,7 @@ def view_seed(rig: Rig, i: int, seed: int, *numbers: int) -> int:
 
 
 @dataclass(frozen=True)
-class Pilot:
+class FirstSamples:
     """The first samples of a view towards a target.
 
     Attributes:
@@ -65,10 +65,10 @@ class Pilot:
     seconds: float
 
 
-class View:
+class RenderedView:
     """One view, to be rendered once."""
 
-    def __init__(self, method: Method, rig: Rig, i: int) -> None:
+    def __init__(self, method: RenderMethod, rig: Rig, i: int) -> None:
         self.method, self.rig, self.i = method, rig, i
         frames = rig if method.subframes == 1 else subframe_rig(rig, i, method.optics.motion or 0.0, method.subframes)
         views = [i] if method.subframes == 1 else range(len(frames))
@@ -211,13 +211,13 @@ class View:
         return check_radiance(image, self.i, signed=signed)
 
     @cached_property
-    def pilot(self) -> Pilot:
+    def pilot(self) -> FirstSamples:
         """The forecast of the first samples of a view towards a target for the others; they count among them."""
         s, start = self.samples, time.perf_counter()
         with compilation() as seconds:  # these samples are kept, and not drawn a second time to time them
             self._draw(s.even(PILOT_SPP))
             spent = time.perf_counter() - start - seconds()
-        return Pilot(self._foreseen()[1], spent / s.spp)
+        return FirstSamples(self._foreseen()[1], spent / s.spp)
 
     def predict_spp(self, target_error: float) -> int:
         """Samples per pixel that bring a pilot's error down to the target, if it falls as 1/sqrt(spp)."""

@@ -19,7 +19,7 @@ Point = Sequence[float]
 SOFT = 0.02  # m over which one part runs into the next
 
 
-class Block:
+class Stone:
     """A block of stone to cut from: all space within `low` and `high`, sampled every `step` metres."""
 
     def __init__(self, low: Point, high: Point, step: float) -> None:
@@ -72,10 +72,10 @@ class Block:
         return s.mesh(points @ matrix[:3, :3].T + matrix[:3, 3], faces, uv, bsdf, turned)
 
 
-def person(rng: np.random.Generator, step: float = 0.008) -> Block:
+def person(rng: np.random.Generator, step: float = 0.008) -> Stone:
     """A bust with shoulders, 0.52 m high; the proportions of the face vary."""
     wide, long, nose = (float(v) for v in rng.uniform((0.95, 0.95, 0.9), (1.06, 1.06, 1.25)))
-    b = Block((-0.25, -0.2, 0.0), (0.25, 0.2, 0.54), step)
+    b = Stone((-0.25, -0.2, 0.0), (0.25, 0.2, 0.54), step)
     b.add((0, 0.01, 0.02), (0.21, 0.12, 0.13))  # shoulders
     b.add((0, 0.015, 0.17), (0.058, 0.06, 0.13), 0.05)  # neck
     b.add((0, 0.02, 0.41), (0.083 * wide, 0.105, 0.105))  # skull
@@ -97,10 +97,10 @@ def person(rng: np.random.Generator, step: float = 0.008) -> Block:
     return b
 
 
-def dog(rng: np.random.Generator, step: float = 0.008) -> Block:
+def dog(rng: np.random.Generator, step: float = 0.008) -> Stone:
     """A dog's head and chest, 0.46 m high, with hanging ears."""
     snout = float(rng.uniform(0.9, 1.15))
-    b = Block((-0.2, -0.26, 0.0), (0.2, 0.2, 0.48), step)
+    b = Stone((-0.2, -0.26, 0.0), (0.2, 0.2, 0.48), step)
     b.add((0, 0.04, 0.05), (0.15, 0.13, 0.16))
     b.add((0, 0.02, 0.2), (0.085, 0.09, 0.14), 0.05)
     b.add((0, 0.0, 0.345), (0.098, 0.1, 0.09))
@@ -113,10 +113,10 @@ def dog(rng: np.random.Generator, step: float = 0.008) -> Block:
     return b
 
 
-def cat(rng: np.random.Generator, step: float = 0.008) -> Block:
+def cat(rng: np.random.Generator, step: float = 0.008) -> Stone:
     """A sitting cat, 0.5 m high, with upright ears."""
     round_ = float(rng.uniform(0.95, 1.1))
-    b = Block((-0.2, -0.22, 0.0), (0.22, 0.24, 0.52), step)
+    b = Stone((-0.2, -0.22, 0.0), (0.22, 0.24, 0.52), step)
     b.add((0, 0.05, 0.12), (0.13, 0.15, 0.13))
     b.add((0, 0.0, 0.22), (0.09, 0.09, 0.15), 0.05)
     b.add((0.05, -0.07, 0.08), (0.035, 0.045, 0.11), 0.03, pair=True)  # fore legs

@@ -15,7 +15,7 @@ from novags.testbed.console.terminal import Console
 from novags.testbed.ledger import contents, stage
 from novags.testbed.ledger.code import Code
 from novags.testbed.ledger.stage import run_stage
-from novags.testbed.study.entry import Order, Step, ensure
+from novags.testbed.study.entry import Order, StageStep, ensure
 from sensor_model.files.atomic import write_text
 
 stage.environment = dict  # type: ignore[assignment]  # the real one loads torch to look for a GPU
@@ -23,9 +23,9 @@ SIZE = 8000  # bytes; of the larger file of an entry
 
 
 def make(order: Order, console: Console) -> dict[str, Any]:
-    steps = {"write": Step(lambda: write(order, console), f"{order.task.kind}.json")}
+    steps = {"write": StageStep(lambda: write(order, console), f"{order.task.kind}.json")}
     if order.task.kind == "run":
-        steps["score"] = Step(lambda: score(order, console), "metrics.json", repeatable=True)
+        steps["score"] = StageStep(lambda: score(order, console), "metrics.json", repeatable=True)
     if os.environ.get("CLOCK") == "backwards":
         now, start = time.time, time.time()
         time.time = lambda: 2 * start - now()  # type: ignore[assignment]

@@ -21,7 +21,7 @@ from novags.testbed.folders.capture import open_capture
 from novags.testbed.ledger.store import costs
 from novags.testbed.study.engines.choice import OneMachine
 from novags.testbed.study.plan import plan_of
-from novags.testbed.viewer.light import Camera
+from novags.testbed.viewer.light import ViewerCamera
 from sensor_model.files.toml_file import read_toml
 from simscenes.sets.pictures.png import read_png
 
@@ -146,7 +146,7 @@ def test_no_two_captures_share_their_noise(place: Path) -> None:
     told = [entry["noise_seed"] for entry in manifest["entries"] if entry["kind"] == "capture"]
     assert [c.record.simulated.noise_seed for c in captures] == told
     assert len(set(told)) == 4
-    assert Camera.of(captures[1], captures[1].source(Console(quiet=True))).seed == told[1]
+    assert ViewerCamera.of(captures[1], captures[1].source(Console(quiet=True))).seed == told[1]
     assert {row["noise_seed"] for row in rows(place)} == set(map(str, told))
     assert "No two captures share" in (place / "data" / "README.md").read_text()
 

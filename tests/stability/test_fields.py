@@ -14,7 +14,7 @@ from novags.fields.box import Box, contracted
 from novags.fields.cpu import encode
 from novags.fields.evaluate import evaluate, gradients
 from novags.fields.field import first_field
-from novags.fields.layout import SIDE, Layout
+from novags.fields.layout import SIDE, FieldLayout
 from novags.fields.march import Proposal, Rays, sampled, weights_of
 from novags.fields.reference import evaluate_reference
 from novags.methods.nerf import aleth
@@ -64,7 +64,7 @@ def thin(setting: Setting) -> float:
 @PART.case("positions on faces and corners of cells", bound=1e-5, unit=LARGEST, backends=("numba",))
 def on_corners(setting: Setting) -> float:
     """Exactly on grid corners, and on the border of the cube: a cell too far would read another level's rows."""
-    layout = Layout(coarsest=4, finest=64, log2_rows=10)
+    layout = FieldLayout(coarsest=4, finest=64, log2_rows=10)
     field = first_field(layout, 0, np.zeros(SIDE**3, bool))
     field.table.uniform_(-1, 1, generator=torch.Generator().manual_seed(0))
     ends = np.array([0.0, 0.25, 0.5, 1.0], np.float32)

@@ -17,7 +17,7 @@ from simscenes.backend import using_variant
 from simscenes.loading.load import build_scene
 from simscenes.render import radiance
 from simscenes.render.geometry import geometry_channels, pixel_rays
-from simscenes.render.radiance import Method, View
+from simscenes.render.radiance import RenderedView, RenderMethod
 from simscenes.render.sequences import Radiance
 from simscenes.rigs import Rig, intrinsics, look_at
 from simscenes.sets.pictures.exr import read_exr, write_exr
@@ -51,7 +51,7 @@ def rendered(make: Any, rig: Rig, setting: Setting, spp: int = 64, depth: int = 
     with using_variant(setting.backend) as mi:
         loaded = build_scene({"type": "scene", **make(mi)}, mi)
         integrator = mi.load_dict({"type": "path", "max_depth": depth, "rr_depth": 64})
-        return View(Method(mi, mi.variant(), loaded, integrator), rig, 0).render(spp, None)
+        return RenderedView(RenderMethod(mi, mi.variant(), loaded, integrator), rig, 0).render(spp, None)
 
 
 def _relative(found: NDArray, wanted: Any) -> float:

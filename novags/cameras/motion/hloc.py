@@ -20,7 +20,7 @@ from torch import Tensor
 
 from novags.cameras.estimate import CameraEstimate
 from novags.cameras.motion.colmap import verification
-from novags.cameras.motion.mapping import Mapping, Scene, check_mapper, from_reconstruction, reconstruct
+from novags.cameras.motion.mapping import Mapping, PictureDatabase, check_mapper, from_reconstruction, reconstruct
 from novags.cameras.pictures import check_views
 from novags.cameras.source import Progress
 from novags.cameras.sources.hloc import HlocConfig
@@ -74,7 +74,7 @@ def hloc_cameras(
     check_views(pictures, colors_from, n_points, exact)
     check_installed(config)
 
-    def match(scene: Scene, step: Callable[[str], None]) -> None:
+    def match(scene: PictureDatabase, step: Callable[[str], None]) -> None:
         _match_learned(scene, config, seed, step)
 
     mapping = Mapping(mapper=config.mapper, min_matches=config.min_matches, threads=config.threads, seed=seed)
@@ -106,7 +106,7 @@ def _confs(config: HlocConfig) -> tuple[dict[str, Any], dict[str, Any]]:
     return found, matchers[matcher]
 
 
-def _match_learned(scene: Scene, config: HlocConfig, seed: int, step: Callable[[str], None]) -> None:
+def _match_learned(scene: PictureDatabase, config: HlocConfig, seed: int, step: Callable[[str], None]) -> None:
     """Features and matches of hloc in the database; matches are verified there as `sfm` verifies its own."""
     import pycolmap
 

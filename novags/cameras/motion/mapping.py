@@ -23,7 +23,7 @@ from sensor_model.files.scratch import scratch
 
 
 @dataclass(frozen=True)
-class Scene:
+class PictureDatabase:
     """The input of matching: pictures in a folder, known to an empty database.
 
     Attributes:
@@ -37,7 +37,7 @@ class Scene:
     names: list[str]
 
 
-Match = Callable[[Scene, Callable[[str], None]], None]
+Match = Callable[[PictureDatabase, Callable[[str], None]], None]
 """Writes features and geometrically verified matches into the database; calls the second argument at each step."""
 
 
@@ -82,7 +82,7 @@ def reconstruct(
             progress(next(done, total - 1), total, what)
 
     with quiet(pycolmap), scratch("sfm") as root:
-        scene = Scene(root, root / "database.db", write_pictures(root, pictures))
+        scene = PictureDatabase(root, root / "database.db", write_pictures(root, pictures))
         pycolmap.set_random_seed(mapping.seed % SEEDS)
         pycolmap.Database.open(scene.database).close()  # makes the file
         for name, K in zip(scene.names, Ks, strict=True):

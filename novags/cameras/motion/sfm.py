@@ -9,7 +9,7 @@ from torch import Tensor
 
 from novags.cameras.estimate import CameraEstimate
 from novags.cameras.motion.colmap import detect, extraction, verification
-from novags.cameras.motion.mapping import Mapping, Scene, check_mapper, from_reconstruction, reconstruct
+from novags.cameras.motion.mapping import Mapping, PictureDatabase, check_mapper, from_reconstruction, reconstruct
 from novags.cameras.pictures import check_views
 from novags.cameras.source import Progress
 from novags.cameras.sources.sfm import SfmConfig
@@ -52,7 +52,7 @@ def structure_from_motion(
     check_views(pictures, colors_from, n_points, exact)
     check_installed(config)
 
-    def match(scene: Scene, step: Callable[[str], None]) -> None:
+    def match(scene: PictureDatabase, step: Callable[[str], None]) -> None:
         _match_sift(scene, config, seed, step)
 
     mapping = Mapping(mapper=config.mapper, min_matches=config.min_matches, threads=config.threads, seed=seed)
@@ -62,7 +62,7 @@ def structure_from_motion(
     )
 
 
-def _match_sift(scene: Scene, config: SfmConfig, seed: int, step: Callable[[str], None]) -> None:
+def _match_sift(scene: PictureDatabase, config: SfmConfig, seed: int, step: Callable[[str], None]) -> None:
     import pycolmap
 
     features = extraction(

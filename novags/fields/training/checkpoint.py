@@ -11,7 +11,7 @@ from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
 from novags.fields.field import Field, first_field
-from novags.fields.layout import Layout
+from novags.fields.layout import FieldLayout
 from novags.fields.march import Proposal
 from novags.splats.files.tensors import write_tensors
 from sensor_model.files.door import admitted
@@ -74,7 +74,7 @@ def save_state(path: Path, state: FieldState, settings: dict[str, object]) -> No
     write_tensors(path, tensors, metadata={"state": json.dumps({**rest, "settings": settings})})
 
 
-def load_state(path: Path, settings: dict[str, object], layout: Layout, extra: Mapping[str, Tensor]) -> FieldState:
+def load_state(path: Path, settings: dict[str, object], layout: FieldLayout, extra: Mapping[str, Tensor]) -> FieldState:
     """Read a file of `save_state`; `extra` tensors are changed in place.
 
     Raises:

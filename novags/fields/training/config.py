@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass, field
 
-from novags.fields.layout import Layout
+from novags.fields.layout import FieldLayout
 from novags.numbers import PIXELS, STEPS, check_range
 
 
@@ -43,7 +43,7 @@ class FieldFitConfig:
     near_scale: float = 0.15
     anchored: float = 0.1
     points: bool = True
-    layout: Layout = field(default_factory=Layout)
+    layout: FieldLayout = field(default_factory=FieldLayout)
     seed: int = 0
     checkpoint_every: int = 500
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 from torch import Tensor
 
-from novags.methods.averaging.surface import Array, Camera, Mask, seen_together
+from novags.methods.averaging.surface import Array, Mask, SurfaceCamera, seen_together
 from novags.methods.averaging.warp import Rules, warp
 from novags.methods.problem import encode
 from novags.splats.views import Views
@@ -36,7 +36,7 @@ class Average:
 
 
 def average(
-    target: Camera, sources: list[Camera], exposures: Array, variances: Array, rules: Rules,
+    target: SurfaceCamera, sources: list[SurfaceCamera], exposures: Array, variances: Array, rules: Rules,
     rows: NDArray[np.intp] | None = None,
 ) -> Average:  # fmt: skip
     """The exposures [C, h, w, 3] brought to a camera and averaged by inverse variance, which is the best that can be
@@ -78,10 +78,10 @@ class AveragedScene:
         enhance: (sRGB-encoded [h, w, 3], index of the training view whose camera is the nearest) -> enhanced.
     """
 
-    sources: list[Camera]
+    sources: list[SurfaceCamera]
     exposures: Array
     variances: Array
-    known: list[Camera]
+    known: list[SurfaceCamera]
     rules: Rules
     enhance: Any
     _holes: dict[str, int] = field(default_factory=dict, repr=False)
@@ -103,7 +103,7 @@ class AveragedScene:
         self._holes[f"{viewmat.tolist()}"] = int((~seen).sum())
         return enhanced, torch.from_numpy(surface.astype(np.float32)), torch.from_numpy(depth.astype(np.float32))
 
-    def averaged(self, target: Camera) -> Average:
+    def averaged(self, target: SurfaceCamera) -> Average:
         """The average for all pixels of a camera."""
         found = average(target, self.sources, self.exposures, self.variances, self.rules)
         if not len(missing := np.flatnonzero(found.views == 0)):
@@ -114,7 +114,7 @@ class AveragedScene:
             whole[missing] = part
         return found
 
-    def camera(self, viewmat: Array, K: Array, height: int, width: int) -> Camera:
+    def camera(self, viewmat: Array, K: Array, height: int, width: int) -> SurfaceCamera:
         """The camera with its surface: the known one, or for another camera the joint surface of all known cameras."""
         reach = _reach(self.known)
         for camera in self.known:
@@ -123,7 +123,7 @@ class AveragedScene:
                 return camera
         return seen_together(self.known, viewmat, K, height, width)
 
-    def _nearest(self, target: Camera) -> int:
+    def _nearest(self, target: SurfaceCamera) -> int:
         reach = _reach(self.known)
         apart = [_apart(camera.viewmat, target.viewmat) for camera in self.sources]
         return int(np.argmin([turn + shift / reach for turn, shift in apart]))
@@ -160,7 +160,7 @@ def _apart(one: Array, other: Array) -> tuple[float, float]:
     return float(turn), float(np.linalg.norm(centres[0] - centres[1]))
 
 
-def _reach(cameras: list[Camera]) -> float:
+def _reach(cameras: list[SurfaceCamera]) -> float:
     """The largest distance of a camera from their mean; 1 for cameras in one place."""
     centres = np.stack([-camera.viewmat[:3, :3].T @ camera.viewmat[:3, 3] for camera in cameras])
     return float(np.linalg.norm(centres - centres.mean(0), axis=1).max()) or 1.0

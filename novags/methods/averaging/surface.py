@@ -17,7 +17,7 @@ GRAZING = 0.02  # cosine; planes seen more from the side are taken as facing the
 
 
 @dataclass(frozen=True)
-class Camera:
+class SurfaceCamera:
     """A camera and the surface that it sees.
 
     Attributes:
@@ -34,7 +34,9 @@ class Camera:
     tolerance: float
 
     @staticmethod
-    def of(viewmat: Array, K: Array, depth: NDArray[Any], normals: NDArray[Any], tolerance: float = 0.01) -> "Camera":
+    def of(
+        viewmat: Array, K: Array, depth: NDArray[Any], normals: NDArray[Any], tolerance: float = 0.01
+    ) -> "SurfaceCamera":
         """From z-depth [h, w], inf without surface, and world normals [h, w, 3]."""
         height, width = depth.shape
         rays = rays_of(K, height, width)
@@ -45,7 +47,7 @@ class Camera:
         turned = np.where(level[..., None], [0.0, 0.0, 1.0], turned)
         slope = np.where(level, 1.0, slope)
         near = np.where(surface, depth, np.inf).astype(np.float64)
-        return Camera(viewmat, K, turned / (slope * near)[..., None], tolerance)
+        return SurfaceCamera(viewmat, K, turned / (slope * near)[..., None], tolerance)
 
     @property
     def size(self) -> tuple[int, int]:
@@ -76,7 +78,7 @@ class Camera:
         return found
 
 
-def seen_together(known: list[Camera], viewmat: Array, K: Array, height: int, width: int) -> Camera:
+def seen_together(known: list[SurfaceCamera], viewmat: Array, K: Array, height: int, width: int) -> SurfaceCamera:
     """The surface in front of a camera from the pixels of all known ones: the nearest that falls onto each pixel."""
     inverse, planes = np.zeros(height * width), np.zeros((height * width, 3))
     for camera in known:
@@ -88,10 +90,10 @@ def seen_together(known: list[Camera], viewmat: Array, K: Array, height: int, wi
     # A plane seen from the side may pass the centre of its pixel far away, or not at all.
     facing = np.stack([0 * inverse, 0 * inverse, inverse], -1).reshape(height, width, 3)
     fits = same_depth((shaped * rays).sum(-1), inverse.reshape(height, width), 5 * known[0].tolerance)
-    return Camera(viewmat, K, np.where(fits[..., None], shaped, facing), known[0].tolerance)
+    return SurfaceCamera(viewmat, K, np.where(fits[..., None], shaped, facing), known[0].tolerance)
 
 
-def _brought(camera: Camera, viewmat: Array, K: Array, height: int, width: int) -> tuple[Array, Array]:
+def _brought(camera: SurfaceCamera, viewmat: Array, K: Array, height: int, width: int) -> tuple[Array, Array]:
     """A camera's pixels in another one: the plane [height * width, 3] of the nearest that falls onto each pixel, and
     its inverse depth, 0 where none does.
     """

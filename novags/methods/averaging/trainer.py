@@ -9,7 +9,7 @@ from torch import Tensor
 
 from novags.methods.averaging.config import AveragingConfig
 from novags.methods.averaging.scene import LEAST, AveragedScene
-from novags.methods.averaging.surface import Array, Camera
+from novags.methods.averaging.surface import Array, SurfaceCamera
 from novags.methods.averaging.warp import Rules
 from novags.methods.enhancers import enhancement_record
 from novags.methods.enhancers.applying import enhanced_like, enhanced_view
@@ -65,9 +65,9 @@ def train(
     )
 
 
-def cameras_of(surface: TrueSurface, tolerance: float) -> list[Camera]:
+def cameras_of(surface: TrueSurface, tolerance: float) -> list[SurfaceCamera]:
     """The cameras of all views with their surfaces."""
-    return [Camera.of(*view, tolerance)
+    return [SurfaceCamera.of(*view, tolerance)
             for view in zip(surface.viewmats, surface.Ks, surface.depth, surface.normals, strict=True)]  # fmt: skip
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from novags.methods.averaging.config import Kernel
-from novags.methods.averaging.surface import Array, Camera, Mask, same_depth
+from novags.methods.averaging.surface import Array, Mask, SurfaceCamera, same_depth
 
 FINER = 1.1  # pixels of the other picture along one of this one, from which on it is sampled several times
 MOST_SAMPLES = 8  # along a side of a pixel; where the other picture is finer still, some of its pixels are left out
@@ -37,7 +37,7 @@ class Rules:
     mixed: bool = True
 
 
-def warp(target: Camera, source: Camera, rows: NDArray[np.intp], rules: Rules) -> tuple[csr_array, Mask]:
+def warp(target: SurfaceCamera, source: SurfaceCamera, rows: NDArray[np.intp], rules: Rules) -> tuple[csr_array, Mask]:
     """The samples that some pixels of `target` take from `source`.
 
     Args:
@@ -71,13 +71,13 @@ def warp(target: Camera, source: Camera, rows: NDArray[np.intp], rules: Rules) -
     return csr_array(total.multiply(scale[:, None])), seen
 
 
-def centres_of(rows: NDArray[np.intp], camera: Camera) -> Array:
+def centres_of(rows: NDArray[np.intp], camera: SurfaceCamera) -> Array:
     """Image points [n, 2] of pixels given by flat indices."""
     row, column = np.divmod(rows, camera.size[1])
     return np.stack([column, row], -1).astype(np.float64) + 0.5
 
 
-def homographies_of(target: Camera, source: Camera, rows: NDArray[np.intp]) -> Array:
+def homographies_of(target: SurfaceCamera, source: SurfaceCamera, rows: NDArray[np.intp]) -> Array:
     """From image points of `target` to image points of `source`, by the plane of each of these pixels, [n, 3, 3]."""
     motion = source.viewmat @ np.linalg.inv(target.viewmat)
     planes = target.planes.reshape(-1, 3)[rows]
@@ -93,7 +93,12 @@ def moved(homographies: Array, points: Array) -> tuple[Array, Array]:
 
 
 def _seen(
-    target: Camera, source: Camera, rows: NDArray[np.intp], centres: Array, homographies: Array, rules: Rules
+    target: SurfaceCamera,
+    source: SurfaceCamera,
+    rows: NDArray[np.intp],
+    centres: Array,
+    homographies: Array,
+    rules: Rules,
 ) -> tuple[Mask, NDArray[np.intp]]:
     """Whether the source sees the surface at these pixels, and its pixels nearest to them."""
     height, width = source.size
@@ -161,7 +166,7 @@ def _keys(x: Array) -> Array:
     return np.asarray(np.where(x <= 1, inner, np.where(x < 2, outer, 0.0)))
 
 
-def _on_surface(source: Camera, nearest: NDArray[np.intp], columns: NDArray[np.intp], single: Mask) -> Mask:
+def _on_surface(source: SurfaceCamera, nearest: NDArray[np.intp], columns: NDArray[np.intp], single: Mask) -> Mask:
     """Which pixels [n, samples, taps] may be used; of rows that show a single surface, the pixels that show it
     alone.
     """

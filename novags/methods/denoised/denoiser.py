@@ -4,16 +4,16 @@ from torch import Tensor
 
 from novags.methods.denoised.config import DenoiseConfig
 from novags.methods.denoised.estimate import estimate_all
-from novags.methods.denoised.measured import Measured
+from novags.methods.denoised.measured import MeasuredPictures
 from novags.methods.denoised.recorrupted import adapt
 from novags.methods.denoised.weights import load_weights
 from novags.methods.reconstruction import Progress
 
 
 def denoised(
-    pictures: Measured, config: DenoiseConfig, *, seed: int, progress: Progress | None = None, more: int = 0
+    pictures: MeasuredPictures, config: DenoiseConfig, *, seed: int, progress: Progress | None = None, more: int = 0
 ) -> Tensor:
-    """The pictures without noise, in linear light [C, H, W, 3], clipped and in the unit as `Measured.linear` says.
+    """The pictures without noise, in linear light [C, H, W, 3], clipped and in the unit of `MeasuredPictures.linear`.
 
     Args:
         pictures: The measurements.

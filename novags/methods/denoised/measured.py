@@ -16,7 +16,7 @@ STRAIGHT = 1e4
 
 
 @dataclass(frozen=True)
-class Measured:
+class MeasuredPictures:
     """Pictures in electrons, and the way to linear light.
 
     "Electrons" are the unit in which shot noise has the variance of its mean: the datum over the slope of its variance.
@@ -44,7 +44,7 @@ class Measured:
         """[3], electrons**2."""
         return self.electrons.new_tensor(self.noise.curve.offset) / self.slope**2
 
-    def to(self, device: torch.device | str) -> "Measured":
+    def to(self, device: torch.device | str) -> "MeasuredPictures":
         """The same on another device."""
         moved = {f.name: value.to(device) for f in fields(self) if isinstance(value := getattr(self, f.name), Tensor)}
         return replace(self, **moved)  # type: ignore[arg-type]  # only tensors are replaced
@@ -63,7 +63,7 @@ class Measured:
         return light if self.matrix is None else light.clamp_max(1.0) @ self.matrix.T
 
 
-def measured(problem: Problem) -> Measured:
+def measured(problem: Problem) -> MeasuredPictures:
     """The data of a problem in electrons.
 
     Raises:
@@ -74,7 +74,7 @@ def measured(problem: Problem) -> Measured:
 
 def of_capture(
     noise: Noise | None, raw: RawPictures | None, linear16: Tensor | None, shared: tuple[str, ...]
-) -> Measured:
+) -> MeasuredPictures:
     """The data of a capture in electrons, from the fields of a `Problem`; see `measured`."""
     if noise is None:
         raise LacksInput(
@@ -84,7 +84,7 @@ def of_capture(
     return in_electrons(measured_light(noise, raw, linear16, shared))
 
 
-def in_electrons(data: MeasuredLight) -> Measured:
+def in_electrons(data: MeasuredLight) -> MeasuredPictures:
     """Measurements in electrons.
 
     Raises:
@@ -105,4 +105,4 @@ def in_electrons(data: MeasuredLight) -> Measured:
     unit = torch.maximum(slope, (offset / STRAIGHT).sqrt())
     electrons = ((like - black) / unit).nan_to_num(0.0).movedim(-1, 1).contiguous()
     mask = data.measured[:1].movedim(-1, 1).to(like)
-    return Measured(electrons, mask, data.noise, black, unit, unit, data.matrix)
+    return MeasuredPictures(electrons, mask, data.noise, black, unit, unit, data.matrix)

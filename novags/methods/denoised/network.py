@@ -35,7 +35,7 @@ class NetworkConfig:
             raise ValueError(f"widths and blocks must be >= 1, got {self.widths} and {self.blocks}")
 
 
-class Block(nn.Module):
+class ResidualPair(nn.Module):
     """Two 3 x 3 convolutions beside the identity."""
 
     def __init__(self, width: int) -> None:
@@ -111,7 +111,7 @@ class Network(nn.Module):
 
 
 def _blocks(width: int, count: int) -> nn.Sequential:
-    return nn.Sequential(*(Block(width) for _ in range(count)))
+    return nn.Sequential(*(ResidualPair(width) for _ in range(count)))
 
 
 def _padded(x: Tensor, down: int, right: int) -> Tensor:

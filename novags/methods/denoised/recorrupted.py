@@ -25,7 +25,7 @@ from torch import Tensor
 from novags.methods.denoised.blend import Blend, best_blend
 from novags.methods.denoised.config import AdaptConfig
 from novags.methods.denoised.estimate import estimate, estimate_all
-from novags.methods.denoised.measured import Measured
+from novags.methods.denoised.measured import MeasuredPictures
 from novags.methods.denoised.network import Network
 from novags.methods.denoised.packing import turned
 from novags.methods.reconstruction import Progress
@@ -51,7 +51,7 @@ def recorrupted(data: Tensor, deviation: Tensor, strength: float, generator: tor
 class Adaptation:
     """A network in training on the pictures of one capture."""
 
-    def __init__(self, network: Network, pictures: Measured, config: AdaptConfig, seed: int) -> None:
+    def __init__(self, network: Network, pictures: MeasuredPictures, config: AdaptConfig, seed: int) -> None:
         self.network, self.pictures, self.config = network, pictures, config
         self.first = estimate_all(network, pictures.electrons, pictures.mask, pictures.read_variance, turns=1)
         # Floor: where a camera counts nothing and reads without noise, a weight of 1 / 0.
@@ -126,7 +126,7 @@ class Adaptation:
         return int(torch.randint(high, (1,), generator=self.generator, device=self.generator.device))
 
 
-def _of_first(network: Network, first: Tensor, pictures: Measured, strength: float) -> Tensor:
+def _of_first(network: Network, first: Tensor, pictures: MeasuredPictures, strength: float) -> Tensor:
     """The estimate for the first copy [B, 3, H, W], no gradient; see `Adaptation.loss` for its scale."""
     more = 1 + strength**2
     return more * estimate_all(network, first / more, pictures.mask, pictures.read_variance / more, turns=1)
@@ -140,7 +140,7 @@ class Adapted:
     after: Network
     blend: Blend
 
-    def estimate_all(self, pictures: Measured, *, turns: int) -> Tensor:
+    def estimate_all(self, pictures: MeasuredPictures, *, turns: int) -> Tensor:
         """The means of the pictures, electrons [C, 3, H, W]; as `estimate_all`."""
         before, after = (estimate_all(network, pictures.electrons, pictures.mask, pictures.read_variance, turns=turns)
                          for network in (self.before, self.after))  # fmt: skip
@@ -149,7 +149,7 @@ class Adapted:
 
 def adapt(
     network: Network,
-    pictures: Measured,
+    pictures: MeasuredPictures,
     config: AdaptConfig,
     *,
     seed: int,

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from novags.methods.denoised.config import DenoiseConfig, DenoisedConfig, parts
 from novags.methods.denoised.denoiser import denoised
-from novags.methods.denoised.measured import Measured, measured
+from novags.methods.denoised.measured import MeasuredPictures, measured
 from novags.methods.denoised.weights import PACKAGED
 from novags.methods.enhanced.config import EnhancedFitConfig
 from novags.methods.enhanced.gaussian_fit import fit_enhanced
@@ -92,7 +92,7 @@ def _kept(
     return made, 0.0
 
 
-def _identity(pictures: Measured, config: DenoiseConfig, seed: int) -> Tensor:
+def _identity(pictures: MeasuredPictures, config: DenoiseConfig, seed: int) -> Tensor:
     """Hash of everything that the denoised pictures depend on, uint8."""
     content = digest(pictures.electrons, pictures.mask, pictures.read_variance, pictures.to_linear)
     weights = hashlib.blake2b(read_bytes(PACKAGED)).hexdigest()

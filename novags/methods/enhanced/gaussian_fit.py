@@ -14,7 +14,7 @@ from novags.methods.enhancers.choice import Enhancement
 from novags.methods.gaussian_scene import GaussianScene
 from novags.methods.inputs import Pictures
 from novags.methods.problem import Problem
-from novags.methods.reconstruction import Progress, Reconstruction, Scene, Space
+from novags.methods.reconstruction import Progress, ReconstructedScene, Reconstruction, Space
 from novags.methods.start import start_gaussians
 from novags.splats.training.config import FitConfig
 from novags.splats.training.fit import FitResult, fit
@@ -32,7 +32,7 @@ def fit_for(problem: Problem, config: FitConfig) -> FitConfig:
 
 
 def reconstructed(
-    result: FitResult, config: Any, scene: Scene, space: Space, started: float, **more: Any
+    result: FitResult, config: Any, scene: ReconstructedScene, space: Space, started: float, **more: Any
 ) -> Reconstruction:
     """The reconstruction of a method that consists of one fit.
 

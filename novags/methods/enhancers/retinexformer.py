@@ -153,7 +153,7 @@ class Restorer(nn.Module):
         return out
 
 
-class Stage(nn.Module):
+class RetinexStage(nn.Module):
     """Estimator and U-Net."""
 
     def __init__(self, width: int, blocks: tuple[int, int, int]) -> None:
@@ -172,7 +172,7 @@ class Retinexformer(nn.Module):
 
     def __init__(self, width: int = WIDTH, blocks: tuple[int, int, int] = BLOCKS) -> None:
         super().__init__()
-        self.body = nn.Sequential(Stage(width, blocks))
+        self.body = nn.Sequential(RetinexStage(width, blocks))
         for module in self.modules():
             if isinstance(module, nn.Linear):
                 nn.init.trunc_normal_(module.weight, std=0.02)

@@ -9,7 +9,7 @@ from typing import Any
 from torch import Tensor
 
 from novags.fields.box import box_of
-from novags.fields.layout import Layout
+from novags.fields.layout import FieldLayout
 from novags.fields.training.anchors import PointLoss
 from novags.fields.training.batch import Batch
 from novags.fields.training.config import FieldFitConfig
@@ -30,7 +30,7 @@ RENDERED = 2  # samples of a picture's ray, for each that trained: a sample too 
 
 def with_outputs(fit: FieldFitConfig, problem: Problem, *, static: int, viewed: int) -> FieldFitConfig:
     """The configuration with the seed of the problem, and room for a method's outputs."""
-    layout: Layout = dataclasses.replace(fit.layout, static=static, viewed=viewed)
+    layout: FieldLayout = dataclasses.replace(fit.layout, static=static, viewed=viewed)
     return dataclasses.replace(fit, seed=problem.seed, layout=layout)
 
 

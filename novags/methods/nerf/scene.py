@@ -13,7 +13,7 @@ from torch import Tensor
 
 from novags.fields.box import Box
 from novags.fields.field import Field
-from novags.fields.layout import SIDE, Layout
+from novags.fields.layout import SIDE, FieldLayout
 from novags.fields.march import Proposal
 from novags.fields.render import render_field
 from novags.methods.nerf.shading import shading_of
@@ -52,7 +52,7 @@ class FieldScene:
     numbers: dict[str, float] = dataclasses.field(default_factory=dict)
 
     def render(self, views: Views) -> tuple[Tensor, Tensor, Tensor]:
-        """As `Scene` says, on the device of the views."""
+        """As `ReconstructedScene` says, on the device of the views."""
         shading = shading_of(self.shading, self.numbers)
         with torch.no_grad():
             return render_field(self.field, self.box, self.proposal, views, shading, self.samples)
@@ -108,6 +108,6 @@ def _assembled(record: dict[str, Any], tensors: dict[str, Tensor]) -> FieldScene
     if len(box["center"]) != 3 or len(box["half"]) != 3 or not np.isfinite([*box["center"], *box["half"]]).all():
         raise ValueError(f"the box must have three finite coordinates, got {box}")
     return FieldScene(
-        Field(Layout(**record["layout"]), **tensors), Box(**box), Proposal(density.numpy()), record["samples"],
+        Field(FieldLayout(**record["layout"]), **tensors), Box(**box), Proposal(density.numpy()), record["samples"],
         record["shading"], record["numbers"],
     )  # fmt: skip

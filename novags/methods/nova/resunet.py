@@ -53,7 +53,7 @@ class SqueezeExcite(nn.Module):
         return x * self.gate(x)
 
 
-class Level(nn.Module):
+class GatedLevel(nn.Module):
     """One encoder or decoder level: convolution with LeakyReLU(0.2), then a ResBlock gated before its addition.
 
     With `blocks="plain"`: two such convolutions.
@@ -88,11 +88,13 @@ class ResUNet(nn.Module):
         super().__init__()
         self.config = config or ResUNetConfig()
         inputs = (channels, *self.config.widths)
-        self.encoder = nn.ModuleList(Level(a, b, self.config) for a, b in zip(inputs[:-1], inputs[1:], strict=True))
-        self.bottleneck = Level(inputs[-1], self.config.bottleneck, self.config)
+        self.encoder = nn.ModuleList(
+            GatedLevel(a, b, self.config) for a, b in zip(inputs[:-1], inputs[1:], strict=True)
+        )
+        self.bottleneck = GatedLevel(inputs[-1], self.config.bottleneck, self.config)
         below = (*self.config.widths[1:], self.config.bottleneck)
         self.reduce = nn.ModuleList(nn.Conv2d(b, a, 1) for a, b in zip(self.config.widths, below, strict=True))
-        self.decoder = nn.ModuleList(Level(2 * a, a, self.config) for a in self.config.widths)
+        self.decoder = nn.ModuleList(GatedLevel(2 * a, a, self.config) for a in self.config.widths)
         self.head = nn.Conv2d(self.config.widths[0], channels, 1)
 
     def forward(self, images: Tensor) -> Tensor:

@@ -18,7 +18,7 @@ import math
 from torch import Tensor
 
 from novags.methods.nova_plus.average import averages
-from novags.methods.nova_plus.data import Exposures
+from novags.methods.nova_plus.data import LightMeasurements
 from novags.methods.tone import ToneCurve
 
 VIEWS = 3.0  # the factor by which the fit to all averages reduces their variance
@@ -30,7 +30,7 @@ JUDGES = 4  # views that are examined
 SHARE_OF_NOISE = 1 / 6
 
 
-def choose_bandwidth(guide: Tensor, data: Exposures, curve: ToneCurve) -> tuple[float, list[dict[str, float]]]:
+def choose_bandwidth(guide: Tensor, data: LightMeasurements, curve: ToneCurve) -> tuple[float, list[dict[str, float]]]:
     """The h of `averages` at which bias**2 + variance / VIEWS is least, between the steps of a grid.
 
     Of data that share their noise, `SHARE_OF_NOISE` of it.
@@ -61,7 +61,7 @@ def choose_bandwidth(guide: Tensor, data: Exposures, curve: ToneCurve) -> tuple[
     return found[best]["h"] * STEP**shift, found
 
 
-def errors_of_average(guide: Tensor, data: Exposures, curve: ToneCurve, h: float) -> tuple[float, float]:
+def errors_of_average(guide: Tensor, data: LightMeasurements, curve: ToneCurve, h: float) -> tuple[float, float]:
     """Squared bias and variance of the guided averages, means over the data in squared tone.
 
     Args:

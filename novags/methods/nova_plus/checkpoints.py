@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from novags.methods.nova_plus.data import Exposures
+from novags.methods.nova_plus.data import LightMeasurements
 from novags.methods.problem import Problem
 from novags.splats.files.tensors import digest
 from sensor_model.files.atomic import write_text
@@ -15,7 +15,7 @@ from sensor_model.files.door import read_bytes
 OWNER = "run"  # file that holds the identity of the run
 
 
-def run_identity(problem: Problem, config: Any, data: Exposures) -> str:
+def run_identity(problem: Problem, config: Any, data: LightMeasurements) -> str:
     """Hash of everything that a run depends on.
 
     Args:

@@ -13,7 +13,7 @@ FULL = 0.98  # of white: a datum at or above it counts as saturated
 
 
 @dataclass(frozen=True, kw_only=True)
-class Exposures(MeasuredLight):
+class LightMeasurements(MeasuredLight):
     """The training pictures as measurements of light.
 
     Attributes:
@@ -35,7 +35,7 @@ class Exposures(MeasuredLight):
         return green[~green.isnan()]
 
 
-def exposures(problem: Problem, noise: Noise, held_share: float) -> Exposures:
+def exposures(problem: Problem, noise: Noise, held_share: float) -> LightMeasurements:
     """The measurements of a problem.
 
     Args:
@@ -50,4 +50,4 @@ def exposures(problem: Problem, noise: Noise, held_share: float) -> Exposures:
     found = measured_light(noise, problem.raw, problem.linear16, shared)
     generator = torch.Generator().manual_seed(problem.seed)
     held = torch.rand(found.light.shape[:3], generator=generator) < (0.0 if found.shared else held_share)
-    return Exposures(**vars(found), held=held.to(found.light.device))
+    return LightMeasurements(**vars(found), held=held.to(found.light.device))

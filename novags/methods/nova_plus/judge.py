@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from novags.methods.nova_plus.data import Exposures
+from novags.methods.nova_plus.data import LightMeasurements
 from novags.methods.tone import ToneCurve
 
 
@@ -32,7 +32,7 @@ class Verdict:
         return self.excess > 2 * self.deviation
 
 
-def compare(tones: Tensor, other: Tensor, data: Exposures, curve: ToneCurve, weights: Tensor) -> Verdict:
+def compare(tones: Tensor, other: Tensor, data: LightMeasurements, curve: ToneCurve, weights: Tensor) -> Verdict:
     """The verdict of held-out data on two reconstructions of the training views.
 
     For a datum y that no fit has seen, (y - mu)**2 is v + (mu - truth)**2 on average. The difference between two

@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from novags.methods.nova_plus.data import FULL, Exposures
+from novags.methods.nova_plus.data import FULL, LightMeasurements
 from novags.methods.tone import ToneCurve
 from novags.splats.cpu.compiler import kernel
 from novags.splats.first_order import first_order
@@ -29,7 +29,7 @@ FLOOR = 0.01
 class Likelihood:
     """The loss of a picture of tones against data; nan data are left out. A `PixelLoss`."""
 
-    def __init__(self, data: Exposures, curve: ToneCurve) -> None:
+    def __init__(self, data: LightMeasurements, curve: ToneCurve) -> None:
         self.data, self.curve = data, curve
         self.share = float((~data.fitted.isnan()).float().mean())  # of a picture's values that are data
         self.camera = table(data.noise.curve, data.white)

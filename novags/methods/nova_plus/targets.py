@@ -9,12 +9,12 @@ from novags.methods.denoised.config import DenoiseConfig
 from novags.methods.denoised.denoiser import denoised
 from novags.methods.denoised.measured import in_electrons
 from novags.methods.nova_plus.average import averages
-from novags.methods.nova_plus.data import Exposures
+from novags.methods.nova_plus.data import LightMeasurements
 from novags.methods.reconstruction import Progress
 from novags.methods.tone import ToneCurve
 
 
-def guided_light(guide: Tensor, data: Exposures, curve: ToneCurve, h: float, share: float) -> Tensor:
+def guided_light(guide: Tensor, data: LightMeasurements, curve: ToneCurve, h: float, share: float) -> Tensor:
     """Raw data averaged along the guide, mixed with the guide itself: the knowledge from this scene.
 
     Args:
@@ -32,7 +32,7 @@ def guided_light(guide: Tensor, data: Exposures, curve: ToneCurve, h: float, sha
 
 
 def denoised_light(
-    data: Exposures, expected: Tensor, config: DenoiseConfig, *, seed: int, progress: Progress | None = None
+    data: LightMeasurements, expected: Tensor, config: DenoiseConfig, *, seed: int, progress: Progress | None = None
 ) -> Tensor:
     """The measurements through the trained denoiser, which knows other pictures and sees each view by itself.
 

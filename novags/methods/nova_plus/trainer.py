@@ -20,7 +20,7 @@ from novags.methods.nova_plus.average import non_local_means
 from novags.methods.nova_plus.bandwidth import choose_bandwidth
 from novags.methods.nova_plus.checkpoints import claim, run_identity
 from novags.methods.nova_plus.config import PIXELS_PER_GAUSSIAN, NovaPlusConfig, parts
-from novags.methods.nova_plus.data import Exposures, exposures
+from novags.methods.nova_plus.data import LightMeasurements, exposures
 from novags.methods.nova_plus.judge import compare, mean_tone
 from novags.methods.nova_plus.likelihood import Likelihood
 from novags.methods.nova_plus.merge import merged
@@ -92,8 +92,8 @@ class _Work:
     """One run: the data its stages share, and its findings."""
 
     def __init__(
-        self, problem: Problem, config: NovaPlusConfig, data: Exposures, curve: ToneCurve, progress: Progress | None,
-        checkpoint: Path | None,
+        self, problem: Problem, config: NovaPlusConfig, data: LightMeasurements, curve: ToneCurve,
+        progress: Progress | None, checkpoint: Path | None,
     ) -> None:  # fmt: skip
         self.problem, self.config, self.data, self.curve = problem, config, data, curve
         self.progress, self.checkpoint = progress, checkpoint

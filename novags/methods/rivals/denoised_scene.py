@@ -27,7 +27,7 @@ FILE = Path("scene") / "denoiser.safetensors"  # in the folder of a run: network
 NOISE = "noise"
 
 
-class Stage(nn.Module):
+class DenoiserStage(nn.Module):
     """F: [1, 3, H, W] to the same shape; nothing at first."""
 
     def __init__(self, width: int) -> None:
@@ -44,12 +44,12 @@ class Stage(nn.Module):
         return out
 
 
-class Denoiser(nn.Module):
+class StagedDenoiser(nn.Module):
     """All stages."""
 
     def __init__(self, width: int) -> None:
         super().__init__()
-        self.stages = nn.ModuleList(Stage(width) for _ in range(STAGES))
+        self.stages = nn.ModuleList(DenoiserStage(width) for _ in range(STAGES))
 
     def forward(self, noise: Tensor) -> Tensor:
         """Refined noise of the rendered noise [H, W, 3]."""
@@ -71,10 +71,10 @@ class DenoisedScene:
 
     base: GaussianScene
     noise: Tensor
-    denoiser: Denoiser
+    denoiser: StagedDenoiser
 
     def render(self, views: Views) -> tuple[Tensor, Tensor, Tensor]:
-        """As `Scene` says."""
+        """As `ReconstructedScene` says."""
         colors, alpha, depth = self.base.render(views)
         noise, _ = self.base.splatted(self.noise, views)
         with torch.no_grad():
@@ -104,7 +104,7 @@ def with_denoiser(base: GaussianScene, folder: Path) -> "GaussianScene | Denoise
     try:
         tensors = load_file(admitted(path))
         noise = tensors.pop(NOISE)
-        denoiser = Denoiser(tensors["stages.0.inner.weight"].shape[0])
+        denoiser = StagedDenoiser(tensors["stages.0.inner.weight"].shape[0])
         denoiser.load_state_dict(tensors)
         if noise.shape != (len(base.gaussians), 3):
             raise ValueError(f"noise must be [{len(base.gaussians)}, 3], as point_cloud.ply has it, got {noise.shape}")

@@ -31,7 +31,7 @@ from novags.methods.enhancers.pictures import exposure
 from novags.methods.gaussian_scene import GaussianScene
 from novags.methods.problem import Problem
 from novags.methods.reconstruction import Progress, Reconstruction
-from novags.methods.rivals.denoised_scene import DenoisedScene, Denoiser
+from novags.methods.rivals.denoised_scene import DenoisedScene, StagedDenoiser
 from novags.methods.rivals.invariant import structure
 from novags.methods.rivals.retinex import DIMMEST, slopes, smoothness
 from novags.methods.rivals.rows.lita_gs import LitaGsConfig
@@ -65,7 +65,7 @@ class Networks(nn.Module):
 
     def __init__(self, width: int) -> None:
         super().__init__()
-        self.denoiser, self.tone = Denoiser(width), ToneMap()
+        self.denoiser, self.tone = StagedDenoiser(width), ToneMap()
 
 
 def parts_of(gaussians: Gaussians) -> tuple[Tensor, Tensor, Tensor]:

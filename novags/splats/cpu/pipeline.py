@@ -24,7 +24,7 @@ GRAIN_TILES = 2
 
 
 @dataclass(frozen=True, kw_only=True)
-class Camera:
+class RasterCamera:
     """One pinhole camera and its output."""
 
     viewmat: np.ndarray  # [4, 4] float32, world to camera
@@ -116,10 +116,10 @@ class TileState:
 
 
 @dataclass(kw_only=True)
-class Frame:
+class RasterFrame:
     """One rendered camera: the data that the backward pass needs."""
 
-    camera: Camera
+    camera: RasterCamera
     vector: np.ndarray  # of the camera
     center: np.ndarray
     splats: Splats
@@ -142,8 +142,8 @@ def _new_state(n_tiles: int) -> TileState:
 
 
 def forward(
-    shape: Shape, colors: np.ndarray, camera: Camera, sh_degree: int | None, with_color: bool, with_depth: bool
-) -> tuple[Frame, np.ndarray, np.ndarray]:
+    shape: Shape, colors: np.ndarray, camera: RasterCamera, sh_degree: int | None, with_color: bool, with_depth: bool
+) -> tuple[RasterFrame, np.ndarray, np.ndarray]:
     """Render one camera.
 
     Args:
@@ -161,7 +161,7 @@ def forward(
     n, n_features = len(shape.means), 0 if not with_color else colors.shape[-1]
     depths, radii, tiles, counts = carve((n, np.float32), (n, np.int32), (n, np.int32), (n, np.int32), empty=empty)
     splats = Splats(rows=empty((n, ROW)), depths=depths, radii=radii, tiles=tiles, counts=counts, suspect=False)
-    frame = Frame(
+    frame = RasterFrame(
         camera=camera, vector=camera.vector, center=camera.center, splats=splats, waves=[], passes=[],
         degree=-1 if sh_degree is None or not with_color else sh_degree, n_features=n_features,
         depth_channel=n_features if with_depth else -1,
@@ -184,7 +184,7 @@ def _lists(n_tiles: int) -> tuple[np.ndarray, ...]:
     return tuple(np.empty((3, n_tiles), np.int64))
 
 
-def _first_pass(frame: Frame, shape: Shape, features: np.ndarray, image: np.ndarray, alpha: np.ndarray) -> None:
+def _first_pass(frame: RasterFrame, shape: Shape, features: np.ndarray, image: np.ndarray, alpha: np.ndarray) -> None:
     """Project, and composite four channels wave by wave: tiles that have finished get no more entries."""
     camera, splats, n = frame.camera, frame.splats, len(shape.means)
     n_tiles = camera.tiles_x * camera.tiles_y
@@ -230,7 +230,7 @@ def _new_wave(lists: tuple[np.ndarray, ...], numbers: np.ndarray) -> tuple[Wave,
     return Wave(members=members, within=within, starts=starts, list_ends=list_ends, ends=ends, base=base), reached
 
 
-def _further_pass(frame: Frame, features: np.ndarray, first: int, image: np.ndarray, alpha: np.ndarray) -> None:
+def _further_pass(frame: RasterFrame, features: np.ndarray, first: int, image: np.ndarray, alpha: np.ndarray) -> None:
     """Composite the plain channels from `first` on, with the lists that are there."""
     camera, splats, suspect = frame.camera, frame.splats, np.zeros(1, np.int64)
     rows = empty(splats.rows.shape)
@@ -261,7 +261,7 @@ class Gradients:
     viewmat: np.ndarray  # [4, 4]
 
 
-def composite_backward(frame: Frame, v_image: np.ndarray, v_alpha: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def composite_backward(frame: RasterFrame, v_image: np.ndarray, v_alpha: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Gradient rows [passes * I, ROW] of all list entries, and slots [N + 1]: i's are slots[i]..slots[i + 1] - 1."""
     camera, n = frame.camera, len(frame.splats.depths)
     n_tiles, n_entries = camera.tiles_x * camera.tiles_y, sum(len(wave.members) for wave in frame.waves)
@@ -281,7 +281,7 @@ def composite_backward(frame: Frame, v_image: np.ndarray, v_alpha: np.ndarray) -
 
 
 def backward(
-    frame: Frame, shape: Shape, colors: np.ndarray, v_image: np.ndarray, v_alpha: np.ndarray, with_camera: bool
+    frame: RasterFrame, shape: Shape, colors: np.ndarray, v_image: np.ndarray, v_alpha: np.ndarray, with_camera: bool
 ) -> Gradients:
     """Gradients from the gradients of the image [H, W, channels] and alpha [H, W]; of the camera if asked for, else
     zero.

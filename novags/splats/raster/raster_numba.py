@@ -48,7 +48,7 @@ def render(
             f"backend='numba' needs float32 tensors on the CPU, got {means.dtype} on {means.device}; "
             "convert with .float().cpu(), or use backend='torch' (any float dtype) or 'gsplat' (CUDA)"
         )
-    pinhole = pipeline.Camera(
+    pinhole = pipeline.RasterCamera(
         viewmat=_array(viewmat), K=_array(K), width=width, height=height, near=near_plane, far=far_plane, eps2d=eps2d,
         antialiased=antialiased, radius_clip=radius_clip,
     )  # fmt: skip

@@ -49,7 +49,7 @@ class DirectFit:
         for viewmat, K in zip(views.viewmats, views.Ks, strict=True):
             check_camera({"viewmats": viewmat[None], "Ks": K[None]})
         self.cameras = [
-            pipeline.Camera(
+            pipeline.RasterCamera(
                 viewmat=_array(viewmat), K=_array(K), width=views.width, height=views.height, near=config.near_plane,
                 far=FAR, eps2d=config.eps2d, antialiased=config.antialiased,
             )

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from novags.testbed.dataset.file import SPLITS, DatasetConfig
-from novags.testbed.dataset.publish import Entry
+from novags.testbed.dataset.publish import DatasetEntry
 
 # Textures of scene files may be photographs.
 CATALOGUE_ONLY = "Everything is rendered: no photograph is part of it, and nothing shows a real place or person."
@@ -18,7 +18,7 @@ NEVER = (
 )
 
 
-def card(config: DatasetConfig, entries: Sequence[Entry], manifest: dict[str, Any]) -> str:
+def card(config: DatasetConfig, entries: Sequence[DatasetEntry], manifest: dict[str, Any]) -> str:
     """The text of README.md."""
     captures = [entry for entry in entries if entry.task.kind == "capture"]
     views = sum(entry.record["views"] for entry in captures)
@@ -67,7 +67,7 @@ _LAYOUT = (
 )
 
 
-def _effects(entries: Sequence[Entry]) -> list[str]:
+def _effects(entries: Sequence[DatasetEntry]) -> list[str]:
     rows = ["| | in | left out somewhere |", "| --- | --- | --- |"]
     for kind, what in (("set", "light"), ("capture", "camera")):
         plans = [entry.facts()["simulation"] for entry in entries if entry.task.kind == kind]

@@ -8,11 +8,11 @@ from novags.testbed.ledger.store import costs
 from novags.testbed.study import forecast as of_study
 from novags.testbed.study.costs import Costs
 from novags.testbed.study.engines.choice import Engine
-from novags.testbed.study.plan import Plan
+from novags.testbed.study.plan import StudyPlan
 
 
 def forecast(
-    plan: Plan, config: DatasetConfig, divided: Mapping[str, str], store: Path, out: Path, engine: Engine
+    plan: StudyPlan, config: DatasetConfig, divided: Mapping[str, str], store: Path, out: Path, engine: Engine
 ) -> str:
     """A page for a terminal: the forecast of the work, the splits, the disk that the data set takes beside the store.
 

@@ -14,13 +14,13 @@ from novags.testbed.console.terminal import Console
 from novags.testbed.dataset.card import card
 from novags.testbed.dataset.croissant import croissant
 from novags.testbed.dataset.file import SPLITS, DatasetConfig, spelled
-from novags.testbed.dataset.publish import INDEX, Entry, entries_of, link, views_of, write_index
+from novags.testbed.dataset.publish import INDEX, DatasetEntry, entries_of, link, views_of, write_index
 from novags.testbed.dataset.shards import FOLDER, remove_shards, write_shards
 from novags.testbed.dataset.splits import splits_of
 from novags.testbed.folders.runs import STUDY
 from novags.testbed.ledger.contents import write_json
 from novags.testbed.study.cells.grid import Study
-from novags.testbed.study.plan import Plan
+from novags.testbed.study.plan import StudyPlan
 from novags.testbed.study.session import jsonable_table
 from sensor_model.files.atomic import remove, write_text
 from sensor_model.files.door import opened
@@ -46,7 +46,7 @@ def splits(study: Study, config: DatasetConfig) -> dict[str, str]:
         raise ValueError(f"{study.path}: {error}") from error
 
 
-def publish(plan: Plan, config: DatasetConfig, store: Path, out: Path, console: Console) -> Path:
+def publish(plan: StudyPlan, config: DatasetConfig, store: Path, out: Path, console: Console) -> Path:
     """Write the data set; returns its manifest. Existing files are kept.
 
     Args:
@@ -97,7 +97,7 @@ def refuse_foreign(out: Path, making: Path) -> None:
                          "another --out, or add --overwrite")  # fmt: skip
 
 
-def _remove_others(entries: list[Entry], out: Path) -> None:
+def _remove_others(entries: list[DatasetEntry], out: Path) -> None:
     """Remove sets and captures that an earlier file of this data set had: folders named like entries, nothing else."""
     kept = {entry.place for entry in entries}
     for split in SPLITS:
@@ -108,7 +108,7 @@ def _remove_others(entries: list[Entry], out: Path) -> None:
                     remove(path)
 
 
-def _checksums(entries: list[Entry], out: Path, console: Console) -> dict[str, dict[str, Any]]:
+def _checksums(entries: list[DatasetEntry], out: Path, console: Console) -> dict[str, dict[str, Any]]:
     """Checksums of the files that hold data: files of the entries, and the index."""
     places = [place for split in SPLITS for place in sorted(entry.place for entry in entries if entry.split == split)]
     found = [path for place in places for path in sorted((out / place).rglob("*")) if path.is_file()]
@@ -129,7 +129,7 @@ def _facts(path: Path) -> dict[str, Any]:
 
 
 def _manifest(
-    config: DatasetConfig, study: Study, entries: list[Entry], files: dict[str, dict[str, Any]]
+    config: DatasetConfig, study: Study, entries: list[DatasetEntry], files: dict[str, dict[str, Any]]
 ) -> dict[str, Any]:
     facts = [entry.facts() for entry in entries]
     captures = [fact for fact in facts if fact["kind"] == "capture"]

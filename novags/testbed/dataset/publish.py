@@ -18,7 +18,7 @@ from novags.testbed.ledger.store import Seal, files_of, read_seal
 from novags.testbed.stages.layouts import RECORD as SET
 from novags.testbed.study.cells.grid import Value
 from novags.testbed.study.entry import Task
-from novags.testbed.study.plan import Plan
+from novags.testbed.study.plan import StudyPlan
 from sensor_model.files.atomic import write_text
 from sensor_model.files.door import admitted, check_links
 from simscenes.sets.multiview import MultiviewSet, load_set
@@ -27,7 +27,7 @@ INDEX = "index.csv"
 
 
 @dataclass(frozen=True)
-class Entry:
+class DatasetEntry:
     """A set or a capture of a data set.
 
     Attributes:
@@ -82,7 +82,7 @@ def simulated(plan: Mapping[str, Any] | None) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def entries_of(plan: Plan, store: Path, splits: Mapping[str, str]) -> list[Entry]:
+def entries_of(plan: StudyPlan, store: Path, splits: Mapping[str, str]) -> list[DatasetEntry]:
     """Every set and capture of a plan, in its order; all must be complete.
 
     Args:
@@ -98,12 +98,12 @@ def entries_of(plan: Plan, store: Path, splits: Mapping[str, str]) -> list[Entry
         assert seal is not None
         record = read_json(folder / (SET if task.kind == "set" else CAPTURE))
         scene = spelled(made.config.scene, plan.study.path)
-        found.append(Entry(task, scene, splits[scene], dict(values.get(task.key, {})), seal,
+        found.append(DatasetEntry(task, scene, splits[scene], dict(values.get(task.key, {})), seal,
                            files_of(folder, seal.records), record))  # fmt: skip
     return found
 
 
-def link(entry: Entry, store: Path, out: Path) -> None:
+def link(entry: DatasetEntry, store: Path, out: Path) -> None:
     """Put the files of an entry into the data set; files that are there already, and whole, stay.
 
     Raises:
@@ -127,7 +127,7 @@ def link(entry: Entry, store: Path, out: Path) -> None:
 
 
 @dataclass(frozen=True)
-class View:
+class DatasetView:
     """One view of a capture: the content of an index row and of a sample of a shard."""
 
     row: dict[str, Any]
@@ -135,7 +135,7 @@ class View:
     i: int
 
 
-def views_of(entries: list[Entry], out: Path) -> Iterator[View]:
+def views_of(entries: list[DatasetEntry], out: Path) -> Iterator[DatasetView]:
     """Every view of every capture, in order."""
     sets = {entry.task.key: entry for entry in entries if entry.task.kind == "set"}
     for entry in entries:
@@ -145,7 +145,7 @@ def views_of(entries: list[Entry], out: Path) -> Iterator[View]:
         cameras = load_set(out / entry.place)
         for i, name in enumerate(cameras.names):
             place, truth = entry.place, lit.place
-            yield View({
+            yield DatasetView({
                 "split": entry.split, "scene": entry.scene, "sensor": entry.record["sensor_name"],
                 "electrons": entry.record["electrons"], "seed": entry.record["seed"],
                 "noise_seed": entry.record["noise_seed"], "capture": place, "set": truth,
@@ -156,6 +156,6 @@ def views_of(entries: list[Entry], out: Path) -> Iterator[View]:
             }, cameras, i)  # fmt: skip
 
 
-def write_index(views: list[View], out: Path) -> None:
+def write_index(views: list[DatasetView], out: Path) -> None:
     """Write index.csv: a row for each view, with paths relative to the data set."""
     write_text(out / INDEX, as_csv([view.row for view in views]))

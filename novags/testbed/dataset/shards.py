@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from novags.testbed.dataset.file import SPLITS
-from novags.testbed.dataset.publish import View
+from novags.testbed.dataset.publish import DatasetView
 from novags.testbed.ledger.contents import read_json, write_json
 from sensor_model.files.atomic import atomic
 from sensor_model.files.door import read_bytes
@@ -24,7 +24,7 @@ MEMBERS = {"dark": "dark.png", "dark16": "dark16.png", "raw": "raw.dng", "truth"
            "gt": "gt.exr"}  # fmt: skip
 
 
-def write_shards(views: Sequence[View], out: Path, megabytes: float, sums: dict[str, str]) -> list[str]:
+def write_shards(views: Sequence[DatasetView], out: Path, megabytes: float, sums: dict[str, str]) -> list[str]:
     """Write the shards that are not there yet; returns their names, relative to the data set.
 
     Args:
@@ -69,11 +69,13 @@ def remove_shards(out: Path, but: Container[str] = ()) -> None:
             folder.rmdir()
 
 
-def _divided(views: Sequence[View], out: Path, limit: float) -> Iterator[tuple[str, list[tuple[str, View]]]]:
+def _divided(
+    views: Sequence[DatasetView], out: Path, limit: float
+) -> Iterator[tuple[str, list[tuple[str, DatasetView]]]]:
     """Shards of each split by name, with their samples by key."""
     captures = {place: number for number, place in enumerate(dict.fromkeys(view.row["capture"] for view in views))}
     for split in dict.fromkeys(view.row["split"] for view in views):
-        number, size, samples = 0, 0, list[tuple[str, View]]()
+        number, size, samples = 0, 0, list[tuple[str, DatasetView]]()
         for view in (view for view in views if view.row["split"] == split):
             samples.append((f"{captures[view.row['capture']]:06d}-{view.i:05d}", view))
             size += sum((out / view.row[kind]).stat().st_size for kind in MEMBERS)
@@ -84,11 +86,11 @@ def _divided(views: Sequence[View], out: Path, limit: float) -> Iterator[tuple[s
             yield f"{split}-{number:06d}.tar", samples
 
 
-def _line(key: str, view: View, sums: dict[str, str]) -> str:
+def _line(key: str, view: DatasetView, sums: dict[str, str]) -> str:
     return " ".join([key, *(sums[view.row[kind]] for kind in MEMBERS), json.dumps(about(view), sort_keys=True)])
 
 
-def _write(path: Path, samples: list[tuple[str, View]], out: Path) -> None:
+def _write(path: Path, samples: list[tuple[str, DatasetView]], out: Path) -> None:
     with tarfile.open(path, "w", format=tarfile.USTAR_FORMAT) as tar:
         for key, view in samples:
             for kind, suffix in MEMBERS.items():
@@ -102,7 +104,7 @@ def _add(tar: tarfile.TarFile, name: str, content: bytes) -> None:
     tar.addfile(member, io.BytesIO(content))
 
 
-def about(view: View) -> dict[str, Any]:
+def about(view: DatasetView) -> dict[str, Any]:
     """The text of a sample beside its pictures: its row without paths, and its camera."""
     rig = view.cameras.rig
     kept = {name: value for name, value in view.row.items() if name not in MEMBERS}

@@ -14,7 +14,7 @@ INK, DIM, GROUND = (236, 236, 232), (160, 164, 172), (19, 20, 23)
 
 
 @dataclass(frozen=True)
-class Panel:
+class CaptionedPicture:
     """A picture with two lines of text.
 
     Attributes:
@@ -28,7 +28,7 @@ class Panel:
     note: str
 
 
-def frame(panels: list[Panel]) -> np.ndarray:
+def frame(panels: list[CaptionedPicture]) -> np.ndarray:
     """The panels beside each other, uint8 [h,w,3], both sides even (video formats want that)."""
     enlarged = _fitted([_enlarged(panel.image) for panel in panels])
     height = max(image.shape[0] for image in enlarged)

@@ -11,7 +11,7 @@ from novags.methods.problem import encode
 from novags.splats.views import Views
 from novags.testbed.console.terminal import Console
 from novags.testbed.flight.film import check_path, film
-from novags.testbed.flight.panels import Panel, frame
+from novags.testbed.flight.panels import CaptionedPicture, frame
 from novags.testbed.flight.path import SAME, fly
 from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.references import pictured, references
@@ -44,13 +44,13 @@ class Beside:
     names: list[str]
     _kept: dict[int, list[tuple[np.ndarray, str]]] = field(default_factory=dict)
 
-    def panels(self, nearest: int, distance: float) -> list[Panel]:
+    def panels(self, nearest: int, distance: float) -> list[CaptionedPicture]:
         """The truth, where one is known, and the dark picture of the nearest training view."""
         view = self.names[nearest]
         if nearest not in self._kept:
             self._kept[nearest] = self._pictures(self.capture.names.index(view))
         where = f"view {view}" if distance <= SAME else f"no picture from here; nearest: view {view}"
-        return [Panel(image, title, where) for image, title in self._kept[nearest]]
+        return [CaptionedPicture(image, title, where) for image, title in self._kept[nearest]]
 
     def _pictures(self, i: int) -> list[tuple[np.ndarray, str]]:
         found = []
@@ -129,7 +129,7 @@ def make_video(run: Run, out: Path, console: Console, *, seconds: float, fps: fl
         for k, viewmat in enumerate(flight.viewmats):
             view = Views(torch.from_numpy(viewmat).float()[None], K, rig.width, rig.height)
             image = scene.render(view)[0][0].cpu().numpy()
-            own = Panel(pictured(run, capture, image), run.name, "reconstruction")
+            own = CaptionedPicture(pictured(run, capture, image), run.name, "reconstruction")
             made.add(frame([own, *beside.panels(int(flight.nearest[k]), float(flight.distance[k]))]))
             progress(k + 1, len(flight.viewmats), f"frame {k + 1}")
     return len(flight.viewmats)

@@ -49,7 +49,7 @@ def enhanced_dark(capture: Capture, i: int, enhancement: dict[str, Any]) -> Imag
     return found
 
 
-class Made(Protocol):
+class MethodOutcome(Protocol):
     """The outcome of a method: a run, or the reconstruction that becomes one."""
 
     @property
@@ -63,7 +63,7 @@ class Made(Protocol):
         ...
 
 
-def pictured(run: Made, capture: Capture, rendered: Image) -> Image:
+def pictured(run: MethodOutcome, capture: Capture, rendered: Image) -> Image:
     """A render as a picture in sRGB code, to be looked at and to be compared with `enhanced`.
 
     Of a run in linear light that states an enhancement: through it, with the parameters that the training views have

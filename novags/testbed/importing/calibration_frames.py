@@ -53,7 +53,7 @@ class Frames:
 
 
 @dataclass(frozen=True)
-class _File:
+class _CalibrationFrame:
     dn: np.ndarray  # [n,h,w]
     time: float | None = None
     cfa: str | None = None
@@ -94,7 +94,7 @@ def read_frames(folder: Path, window: int = 1024) -> Frames:
         ValueError: If it is not laid out as above, or a file cannot be read.
     """
     notes = _notes(folder)
-    files: dict[str, list[_File]] = {}
+    files: dict[str, list[_CalibrationFrame]] = {}
     for kind in ("dark", "flat"):
         folders = sorted(p for p in (folder / kind).iterdir() if p.is_dir()) if (folder / kind).is_dir() else []
         if not folders:
@@ -126,10 +126,10 @@ def _notes(folder: Path) -> dict[str, Any]:
     return notes | given
 
 
-def _read(path: Path) -> _File:
+def _read(path: Path) -> _CalibrationFrame:
     if is_raw(path):
         raw = read_mosaic(path)
-        return _File(raw.dn[None], raw.time, raw.cfa or "none", raw.bits)
+        return _CalibrationFrame(raw.dn[None], raw.time, raw.cfa or "none", raw.bits)
     time = None
     if path.suffix.lower() == ".npy":
         with reading(path, "replace or remove it"):
@@ -140,16 +140,16 @@ def _read(path: Path) -> _File:
         dn, time = read_image(path, cv2.IMREAD_UNCHANGED)[None], stated_of(path)[0]
     if dn.ndim != 3 or dn.dtype.kind not in "ui":
         raise ValueError(f"{path} must hold integer codes of one channel, got {dn.dtype} of shape {dn.shape}")
-    return _File(dn, time)
+    return _CalibrationFrame(dn, time)
 
 
-def _cut(file: _File, window: int) -> _File:
+def _cut(file: _CalibrationFrame, window: int) -> _CalibrationFrame:
     """The central part, from an even row and column on, so that the colour filter array keeps its phase."""
     y, x = (max(0, (side - window) // 2) // 2 * 2 for side in file.dn.shape[1:])
     return replace(file, dn=np.ascontiguousarray(file.dn[:, y : y + window, x : x + window]))
 
 
-def _stack(path: Path, files: list[_File], note: dict[str, float]) -> Stack:
+def _stack(path: Path, files: list[_CalibrationFrame], note: dict[str, float]) -> Stack:
     sizes = {file.dn.shape[1:] for file in files}
     if len(sizes) != 1:
         raise ValueError(f"{path} must hold frames of one size, got {sorted(sizes) or 'no frames'}")

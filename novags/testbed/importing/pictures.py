@@ -19,7 +19,7 @@ Kind = Literal["8-bit", "16-bit", "EXR"]
 
 
 @dataclass(frozen=True)
-class Picture:
+class ForeignPicture:
     """The picture in a file.
 
     Attributes:
@@ -84,7 +84,7 @@ def find_renders(folder: Path, names: Sequence[str]) -> Renders:
     return Renders(folder, {name: found[name][0] for name in names}, ignored)
 
 
-def read_picture(file: Path, width: int, height: int) -> Picture:
+def read_picture(file: Path, width: int, height: int) -> ForeignPicture:
     """Read one picture of a view of `width` x `height` px.
 
     Transparent pixels stand before white, as the test bed's own sets have them.
@@ -105,31 +105,31 @@ def read_picture(file: Path, width: int, height: int) -> Picture:
     return picture
 
 
-def _read_codes(file: Path) -> Picture:
+def _read_codes(file: Path) -> ForeignPicture:
     if has_alpha(file):
         shares, bits = before_white(file)
-        return Picture(shares, "16-bit" if bits == 16 else "8-bit")
+        return ForeignPicture(shares, "16-bit" if bits == 16 else "8-bit")
     bgr = read_image(file, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
     if bgr.dtype not in (np.uint8, np.uint16):
         raise ValueError(f"{file} must hold 8- or 16-bit codes, got {bgr.dtype}: write PNG or EXR")
     largest = np.float32(np.iinfo(bgr.dtype).max)
-    return Picture(
+    return ForeignPicture(
         np.ascontiguousarray(bgr[..., ::-1]).astype(np.float32) / largest,
         "8-bit" if bgr.dtype == np.uint8 else "16-bit",
     )
 
 
-def _read_exr(file: Path) -> Picture:
+def _read_exr(file: Path) -> ForeignPicture:
     channels, _ = read_exr(file)
     if missing := [name for name in "RGB" if name not in channels]:
         raise ValueError(f"{file} lacks the channels {', '.join(missing)}, it has {_listed(sorted(channels))}: write "
                          "R, G and B")  # fmt: skip
     values = np.stack([channels[name] for name in "RGB"], axis=-1).astype(np.float32)
     if "Z" not in channels:
-        return Picture(values, "EXR")
+        return ForeignPicture(values, "EXR")
     depth = channels["Z"].astype(np.float32)
     alpha = channels.get("alpha", channels.get("A", np.ones_like(depth))).astype(np.float32)
-    return Picture(values, "EXR", depth, np.clip(alpha, 0.0, 1.0))
+    return ForeignPicture(values, "EXR", depth, np.clip(alpha, 0.0, 1.0))
 
 
 def _listed(names: Iterable[str]) -> str:

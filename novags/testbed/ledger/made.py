@@ -16,7 +16,7 @@ SHOWN = 2  # files that are named
 
 
 @dataclass(frozen=True)
-class Made:
+class MadeWith:
     """With which code a result was made; empty where that is not known."""
 
     date: str = ""
@@ -43,13 +43,13 @@ def made_name(record_name: str) -> str:
     return f".{record_name}"
 
 
-def made_with(folder: Path, record_name: str) -> Made:
+def made_with(folder: Path, record_name: str) -> MadeWith:
     """With which code a result was made."""
     try:
         found = read_json(folder / made_name(record_name), SHAPE)
     except ValueError:  # of an earlier version, or lost in a copy: nothing depends on it
-        return Made()
-    return Made(found["date"], found["code"], found["texts"])
+        return MadeWith()
+    return MadeWith(found["date"], found["code"], found["texts"])
 
 
 def write_made(folder: Path, record_name: str, code: Code) -> None:

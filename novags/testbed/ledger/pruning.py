@@ -17,7 +17,7 @@ KEY = 16  # characters of a key at the end of the name of an entry
 
 
 @dataclass(frozen=True)
-class Entry:
+class StoreEntry:
     """One folder of a store.
 
     Attributes:
@@ -40,7 +40,7 @@ class Entry:
         return self.folder.name.rpartition("-")[2]
 
 
-def entries(store: Path) -> Iterator[Entry]:
+def entries(store: Path) -> Iterator[StoreEntry]:
     """The entries of a store; damaged seals count as unfinished work.
 
     Raises:
@@ -58,10 +58,10 @@ def entries(store: Path) -> Iterator[Entry]:
                 seal = None
             files = (path for path in folder.rglob("*") if path.is_file() and not path.is_symlink())
             needs = frozenset(key[:KEY] for key in seal.made_of) if seal else frozenset[str]()
-            yield Entry(kind, folder, sum(path.stat().st_size for path in files), needs, seal is not None)
+            yield StoreEntry(kind, folder, sum(path.stat().st_size for path in files), needs, seal is not None)
 
 
-def unreferenced(found: Iterable[Entry], ends: Iterable[str]) -> list[Entry]:
+def unreferenced(found: Iterable[StoreEntry], ends: Iterable[str]) -> list[StoreEntry]:
     """The entries that neither have these ends of names nor are inputs of such entries."""
     by_end = {entry.end: entry for entry in found}
     waiting, kept = list(ends), set[str]()
@@ -73,7 +73,7 @@ def unreferenced(found: Iterable[Entry], ends: Iterable[str]) -> list[Entry]:
     return [entry for end, entry in by_end.items() if end not in kept]
 
 
-def drop(entry: Entry) -> None:
+def drop(entry: StoreEntry) -> None:
     """Remove an entry.
 
     Raises:

@@ -15,7 +15,7 @@ from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 
-from novags.testbed.ledger.source import Source, sources
+from novags.testbed.ledger.source import SourceCode, sources
 from sensor_model.files.python import ROOT
 
 PACKAGES = ("novags", "simscenes", "sensor_model")
@@ -70,7 +70,7 @@ def path_of(module: str) -> Path:
     return found
 
 
-def source_of(module: str) -> Source:
+def source_of(module: str) -> SourceCode:
     """The analysed file of a module."""
     return sources().of(path_of(module).read_bytes())
 
@@ -168,7 +168,7 @@ class _Module:
         lazy: Module and name of objects that are imported when they are used, by their names here.
     """
 
-    source: Source
+    source: SourceCode
     bound: dict[str, list[int]]
     runs: list[int]
     loads: list[tuple[str, str]]

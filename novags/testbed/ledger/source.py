@@ -53,7 +53,7 @@ class Definition:
 
 
 @dataclass(frozen=True)
-class Source:
+class SourceCode:
     """What a file of source says.
 
     Attributes:
@@ -79,7 +79,7 @@ class Sources:
     """
 
     def __init__(self) -> None:
-        self._known: dict[str, Source] = {}
+        self._known: dict[str, SourceCode] = {}
         self._texts: dict[str, str] = {}  # of the same and of more, each parsed when it is asked for
         self._new = False
         # Remembered results were found by this very code.
@@ -87,7 +87,7 @@ class Sources:
         with suppress(OSError, ValueError):
             self._texts = read_record(own_folder(cache_folder("sources")) / self._name, {"*": str})
 
-    def of(self, content: bytes) -> Source:
+    def of(self, content: bytes) -> SourceCode:
         """The analysis of a content.
 
         Raises:
@@ -98,12 +98,12 @@ class Sources:
             self._known[key] = self._remembered(key) or self._read(key, content)
         return self._known[key]
 
-    def _read(self, key: str, content: bytes) -> Source:
+    def _read(self, key: str, content: bytes) -> SourceCode:
         found = read(content)
         self._texts[key], self._new = json.dumps(asdict(found)), True
         return found
 
-    def _remembered(self, key: str) -> Source | None:
+    def _remembered(self, key: str) -> SourceCode | None:
         with suppress(ValueError):
             if (text := self._texts.get(key)) is not None:
                 return _source(parse_json(text, "a source that is remembered"))
@@ -124,7 +124,7 @@ def sources() -> Sources:
     return Sources()
 
 
-def _source(found: Any) -> Source:
+def _source(found: Any) -> SourceCode:
     """A source from the cache.
 
     Raises:
@@ -139,11 +139,11 @@ def _source(found: Any) -> Source:
         Definition(tuple(one["names"]), one["runs"], one["tokens"], tuple(one["uses"]), pairs(one["reaches"]))
         for one in found["definitions"]
     )
-    return Source(definitions, dict(zip(found["imports"], pairs(found["imports"].values()), strict=True)),
+    return SourceCode(definitions, dict(zip(found["imports"], pairs(found["imports"].values()), strict=True)),
                   pairs(found["loads"]))  # fmt: skip
 
 
-def read(content: bytes) -> Source:
+def read(content: bytes) -> SourceCode:
     """What a file of source says.
 
     Raises:
@@ -159,7 +159,7 @@ def read(content: bytes) -> Source:
             definitions.append(_definition(statement, lines))
     known = {*imports, *(name for one in definitions for name in one.names)}
     kept = (replace(one, uses=tuple(use for use in one.uses if use.partition(".")[0] in known)) for one in definitions)
-    return Source(tuple(kept), imports, tuple(loads))
+    return SourceCode(tuple(kept), imports, tuple(loads))
 
 
 def _definition(statement: ast.stmt, lines: list[bytes]) -> Definition:

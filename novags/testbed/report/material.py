@@ -36,7 +36,7 @@ MADE_CAPTURE: Any = {"stage": COST, "set?": ({"path": PLACE}, None), "plan?": (s
 
 
 @dataclass(frozen=True)
-class Made:
+class RunRecords:
     """A run, and the records of its inputs."""
 
     run: Run
@@ -55,7 +55,7 @@ class Material:
     rows: list[dict[str, Any]]  # one for each run, as in the table of a study
     axes: Mapping[str, Sequence[Any]]  # what the runs differ in, and the values
     looks: Mapping[str, Row]  # how runs, or the methods of a study, appear, by name
-    made: Mapping[int, Made]  # the runs on this machine, by number of their row
+    made: Mapping[int, RunRecords]  # the runs on this machine, by number of their row
     places: dict[str, Callable[[], Place | None]]  # what opens each that has pictures; None: nothing is rendered
     one: Place | None = None  # where all runs are of one capture
     study: tuple[Path, Mapping[str, Any]] | None = None  # the folder of a study, and its study.json
@@ -97,11 +97,11 @@ class Material:
         """The commands that make each run again in the folder of the page; None where no command does."""
         return {number: score_again(each.run, self.path.parent, each.name) for number, each in self.made.items()}
 
-    def of(self, line: Line) -> list[Made]:
+    def of(self, line: Line) -> list[RunRecords]:
         """The runs of a line that are here."""
         return [self.made[int(row["run"])] for row in line.runs if int(row["run"]) in self.made]
 
-    def called(self, made: Made) -> str:
+    def called(self, made: RunRecords) -> str:
         """The name of runs together: of one place each has its name, of several a method is named once."""
         return made.name if self.one else made.run.name
 
@@ -134,7 +134,7 @@ def titles(places: Sequence[Place], folder: Path) -> list[str]:
             for place in places]  # fmt: skip
 
 
-def made_of(run: Run, name: str, known: dict[Path, Any]) -> Made:
+def made_of(run: Run, name: str, known: dict[Path, Any]) -> RunRecords:
     """A run with the records of its capture and its set; `known` keeps the records that were read.
 
     Raises:
@@ -146,7 +146,7 @@ def made_of(run: Run, name: str, known: dict[Path, Any]) -> Made:
     made = place_of(capture, (known[record].get("set") or {}).get("path", "."))
     if (rendered := made / SET) not in known:
         known[rendered] = read_json(rendered, MADE_SET) if rendered.is_file() else {}
-    return Made(run, name, capture, known[record], made, known[rendered])
+    return RunRecords(run, name, capture, known[record], made, known[rendered])
 
 
 def spread(indices: Sequence[int], count: int = VIEWS_OF_EACH_KIND) -> list[int]:

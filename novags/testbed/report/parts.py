@@ -48,7 +48,7 @@ class Column(NamedTuple):
     attributes: Attributes = {}  # of its heading
 
 
-class Cell(NamedTuple):
+class TableCell(NamedTuple):
     """A cell; without attributes it is the heading of its row."""
 
     text: Any
@@ -84,17 +84,17 @@ def heads(said: str) -> list[Column]:
     return found
 
 
-def text(value: Any, kind: str = "") -> Cell:
+def text(value: Any, kind: str = "") -> TableCell:
     """A cell of a class."""
-    return Cell(value, Markup(' class="{}"').format(kind) if kind else Markup())
+    return TableCell(value, Markup(' class="{}"').format(kind) if kind else Markup())
 
 
 def num(
     value: Any, shown: str | int = 2, *, rank: int | None = None, sd: float | None = None, best: bool = False
-) -> Cell:
+) -> TableCell:
     """A number, with the text that shows it or with so many digits."""
     said = shown if isinstance(shown, str) else number(value, shown)
     kind = " best" if best else " muted" if value is None and said else ""
     told = f' class="num{kind}" data-value="{"" if value is None else escape(value)}"'
     told += "" if rank is None else f' data-rank="{rank}"'
-    return Cell(said, Markup(told if sd is None else f'{told} data-sd="{sd}"'))
+    return TableCell(said, Markup(told if sd is None else f'{told} data-sd="{sd}"'))

@@ -14,7 +14,7 @@ from novags.testbed.folders.run import Run, open_run
 from novags.testbed.folders.runs import STUDY, TABLE
 from novags.testbed.folders.set import Source
 from novags.testbed.report.grid import Line, by_place, columns
-from novags.testbed.report.material import Made, Material, made_of
+from novags.testbed.report.material import Material, RunRecords, made_of
 from novags.testbed.report.place import Place
 from novags.testbed.report.rows import looks_of
 from novags.testbed.study.light import MEASURES, METHOD
@@ -74,11 +74,11 @@ def read_rows(path: Path) -> tuple[list[dict[str, Any]], dict[str, list[Any]]]:
     return results["rows"], results["axes"]
 
 
-def read_made(folder: Path, rows: Sequence[Mapping[str, Any]]) -> tuple[dict[int, Made], list[int]]:
+def read_made(folder: Path, rows: Sequence[Mapping[str, Any]]) -> tuple[dict[int, RunRecords], list[int]]:
     """Every finished run whose folder is here, by number; and the numbers of runs whose folder is not here, or cannot
     be read.
     """
-    found, lost, known = dict[int, Made](), list[int](), dict[Path, Any]()
+    found, lost, known = dict[int, RunRecords](), list[int](), dict[Path, Any]()
     for row in rows:
         if row["state"] != "done":
             continue

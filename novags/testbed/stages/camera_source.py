@@ -69,7 +69,7 @@ def _found(
 
 
 @dataclass(frozen=True)
-class Frame:
+class CoordinateFrame:
     """The coordinate frame of a reconstruction, and the true cameras in it.
 
     True cameras are the capture's, seen from `origin_of` it.
@@ -87,12 +87,14 @@ class Frame:
     alignment: Alignment
 
     @staticmethod
-    def of(capture: Capture, indices: list[int], estimate: CameraEstimate, viewmats: Tensor | None) -> "Frame":
+    def of(
+        capture: Capture, indices: list[int], estimate: CameraEstimate, viewmats: Tensor | None
+    ) -> "CoordinateFrame":
         """The frame of an estimate, or of the cameras that training refined it to (`viewmats` [R, 4, 4])."""
         rig = estimate.rig
         if viewmats is not None:
             rig = dataclasses.replace(rig, viewmats=viewmats.detach().cpu().double().numpy())
-        return Frame(capture, indices, rig, align(torch.tensor(rig.viewmats), true_cameras(capture)[indices]))
+        return CoordinateFrame(capture, indices, rig, align(torch.tensor(rig.viewmats), true_cameras(capture)[indices]))
 
     def view(self, i: int, device: torch.device) -> Views:
         """The camera of view `i` in this frame: the method's own of a training view, else the true one brought here."""

@@ -12,7 +12,7 @@ from novags.methods.problem import encode
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders import run as run_folder
 from novags.testbed.folders.capture import RECORD, Capture, open_capture
-from novags.testbed.importing.pictures import Picture, find_renders, read_picture
+from novags.testbed.importing.pictures import ForeignPicture, find_renders, read_picture
 from novags.testbed.importing.programs import Spent, run_program
 from novags.testbed.ledger.stage import run_stage
 from novags.testbed.metrics.picture import Image
@@ -89,7 +89,7 @@ def _keep_pictures(capture: Capture, made: Path, out: Path, space: str) -> bool:
     return all(picture.depth is not None for picture in pictures.values())
 
 
-def _channels(values: Image, picture: Picture) -> dict[str, np.ndarray]:
+def _channels(values: Image, picture: ForeignPicture) -> dict[str, np.ndarray]:
     found = {c: np.ascontiguousarray(values[..., k]) for k, c in enumerate("RGB")}
     if picture.depth is None or picture.alpha is None:
         return found

@@ -33,7 +33,7 @@ OWN_TONE = 1.25  # or more times the light of the raw files is a camera's tone c
 
 
 @dataclass(frozen=True)
-class Material:
+class ImportInput:
     """Everything an import reads."""
 
     dark: Dark
@@ -48,7 +48,7 @@ class Material:
 
 
 @dataclass(frozen=True)
-class Prepared:
+class PreparedImport:
     """The data that all views share."""
 
     darkroom: Darkroom
@@ -85,7 +85,7 @@ def import_photographs(
     )
 
 
-def material_of(folder: Path, config: ImportConfig, console: Console) -> Material:
+def material_of(folder: Path, config: ImportConfig, console: Console) -> ImportInput:
     """Find everything that an import reads; only the headers of pictures are read.
 
     Raises:
@@ -106,7 +106,7 @@ def material_of(folder: Path, config: ImportConfig, console: Console) -> Materia
         lit = twins_by_order(views, place) if dataset.by_order else twins_of(views, place, "its", console)
     if dataset is not None and lit is None and clean is None:
         console.note(f"import: {folder} has no lit pictures, so that there is nothing to score against (--lit)")
-    return Material(dark, lit, clean, dataset)
+    return ImportInput(dark, lit, clean, dataset)
 
 
 def _dataset(folder: Path, named: str) -> Dataset | None:
@@ -117,7 +117,7 @@ def _dataset(folder: Path, named: str) -> Dataset | None:
     return DATASETS[named]
 
 
-def prepare(material: Material, config: ImportConfig, console: Console) -> Prepared:
+def prepare(material: ImportInput, config: ImportConfig, console: Console) -> PreparedImport:
     """Read every file once, so that nothing is cleared for files that cannot be imported, and match the long exposures.
 
     Raises:
@@ -153,7 +153,7 @@ def prepare(material: Material, config: ImportConfig, console: Console) -> Prepa
     if "16bit" not in depths:
         _say_no_codes(config.codes, console)
     _say(dark, darkroom, config, match, console)
-    return Prepared(darkroom, match, resampled)
+    return PreparedImport(darkroom, match, resampled)
 
 
 def _say_tone(gain: float, console: Console) -> None:
@@ -195,7 +195,7 @@ def _say(dark: Dark, darkroom: Darkroom, config: ImportConfig, match: Match | No
 
 
 def import_views(
-    material: Material, prepared: Prepared, folder: Path, config: ImportConfig, console: Console
+    material: ImportInput, prepared: PreparedImport, folder: Path, config: ImportConfig, console: Console
 ) -> dict[str, Any]:
     """Write every view that is not complete yet, then the cameras; returns the body of capture.json.
 
@@ -213,7 +213,9 @@ def import_views(
     return record_of(material, prepared, config)
 
 
-def import_view(material: Material, prepared: Prepared, i: int, name: str, folder: Path, exposure: Exposure) -> None:
+def import_view(
+    material: ImportInput, prepared: PreparedImport, i: int, name: str, folder: Path, exposure: Exposure
+) -> None:
     """Write all forms of one view; the 8-bit picture, which says that the view is complete, last."""
     dark, darkroom = material.dark, prepared.darkroom
     if material.lit is not None:
@@ -243,7 +245,7 @@ def exposure_of(config: ImportConfig, darkroom: Darkroom) -> Exposure:
     return Exposure(time=next((time for time in (config.time, stated) if time is not None), 0.0))
 
 
-def record_of(material: Material, prepared: Prepared, config: ImportConfig) -> dict[str, Any]:
+def record_of(material: ImportInput, prepared: PreparedImport, config: ImportConfig) -> dict[str, Any]:
     """The body of capture.json."""
     dark, darkroom, match = material.dark, prepared.darkroom, prepared.match
     camera, raw = darkroom.camera, None

@@ -27,7 +27,7 @@ from novags.testbed.folders.references import pictured
 from novags.testbed.folders.run import CAMERAS, CHECKPOINTS, EVENTS
 from novags.testbed.folders.set import Source
 from novags.testbed.ledger.stage import run_stage
-from novags.testbed.stages.camera_source import Frame, cameras_of, true_cameras, viewer_cameras, views_of
+from novags.testbed.stages.camera_source import CoordinateFrame, cameras_of, true_cameras, viewer_cameras, views_of
 from novags.testbed.stages.configs.reconstructing import ReconstructConfig, files_of
 from novags.testbed.stages.paths import keep_apart
 from sensor_model.files.lock import locked
@@ -37,7 +37,7 @@ from simscenes.sets.writers.camera_files import write_json
 
 
 @dataclass(frozen=True)
-class Prepared:
+class PreparedProblem:
     """A problem, and how its cameras relate to the true ones."""
 
     problem: Problem
@@ -86,7 +86,7 @@ def reconstruct(
     return record
 
 
-def prepare(capture: Capture, source: Source, config: ReconstructConfig, console: Console) -> Prepared:
+def prepare(capture: Capture, source: Source, config: ReconstructConfig, console: Console) -> PreparedProblem:
     """The problem: pictures and cameras of the training views. Truth goes only to methods whose row says so.
 
     Raises:
@@ -131,7 +131,7 @@ def prepare(capture: Capture, source: Source, config: ReconstructConfig, console
         names=tuple(capture.names[i] for i in indices),
         shared=capture.memo,
     )
-    return Prepared(problem.to(device), estimate, indices, device)
+    return PreparedProblem(problem.to(device), estimate, indices, device)
 
 
 def lit_mean(source: Source, indices: list[int]) -> float | None:
@@ -169,7 +169,7 @@ def raw_pictures(capture: Capture, indices: list[int]) -> RawPictures:
 
 
 def reconstruct_views(
-    capture: Capture, prepared: Prepared, folder: Path, config: ReconstructConfig, console: Console
+    capture: Capture, prepared: PreparedProblem, folder: Path, config: ReconstructConfig, console: Console
 ) -> dict[str, Any]:
     """Train the method on the problem and write everything but the record.
 
@@ -196,7 +196,7 @@ def reconstruct_views(
             progress(done, total, losses_text(losses))
 
         result = method.train(problem, config.config, progress=step, checkpoint=folder / CHECKPOINTS[0])
-    frame = Frame.of(capture, prepared.indices, prepared.estimate, result.viewmats)
+    frame = CoordinateFrame.of(capture, prepared.indices, prepared.estimate, result.viewmats)
     with console.progress(f"render {variant.name}") as progress:
         write_images(folder, problem.names, result)
         result.save(folder)

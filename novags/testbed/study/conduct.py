@@ -16,8 +16,8 @@ from novags.testbed.study.elsewhere.nodes import keep_scores
 from novags.testbed.study.engines.choice import Engine, Work, log_of
 from novags.testbed.study.engines.progress import At, StudyProgress
 from novags.testbed.study.engines.worker import Outcome
-from novags.testbed.study.plan import Plan
-from novags.testbed.study.results import State, Table, rows_before
+from novags.testbed.study.plan import StudyPlan
+from novags.testbed.study.results import State, StudyTable, rows_before
 from sensor_model.files.atomic import atomic
 
 FAILURES = "failures.json"
@@ -25,7 +25,7 @@ KEPT = 0.05  # s; to compare a finished entry with its checksums
 TABLES_EVERY = 10.0  # s; at least, between two writings of the tables while runs end
 
 
-def there(plan: Plan, store: Path) -> set[str]:
+def there(plan: StudyPlan, store: Path) -> set[str]:
     """The entries that a store has, by their seals; whether their files have changed is seen when they are used."""
     return {key for key, task in plan.tasks.items() if _is_sealed(task.folder(store), key if task.place else None)}
 
@@ -40,7 +40,7 @@ def _is_sealed(folder: Path, key: str | None) -> bool:
 
 
 def conduct(
-    plan: Plan, out: Path, store: Path, console: Console, engine: Engine, *, retry_failed: bool = False,
+    plan: StudyPlan, out: Path, store: Path, console: Console, engine: Engine, *, retry_failed: bool = False,
     known: Mapping[str, Outcome] | None = None, url: str | None = None,
 ) -> list[dict[str, Any]]:  # fmt: skip
     """Do the missing tasks of a study and write its tables; returns their rows.
@@ -61,7 +61,7 @@ def conduct(
     """
     store.mkdir(parents=True, exist_ok=True)
     sealed = there(plan, store)
-    table = Table(plan, out, store, url, rows_before(plan, out, store, url, sealed))
+    table = StudyTable(plan, out, store, url, rows_before(plan, out, store, url, sealed))
     predicted = Costs.of(costs(store), engine.threads)
     watch = _Watch(plan, table, predicted, engine.places, StudyProgress(console, len(plan.ends)), known=sealed)
     watch.failures = {} if retry_failed else read_failures(out, set(plan.tasks) - watch.known)
@@ -95,8 +95,8 @@ def read_failures(out: Path, keys: set[str]) -> dict[str, dict[str, str]]:
 class _Watch:
     """Keeps the tables, the failures and the progress of a study up to date."""
 
-    plan: Plan
-    table: Table
+    plan: StudyPlan
+    table: StudyTable
     costs: Costs
     workers: int
     shown: StudyProgress

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from statistics import median
 from typing import Any
 
-from novags.testbed.study.plan import Plan, Task
+from novags.testbed.study.plan import StudyPlan, Task
 
 UNITS = {"set": "pixels x samples", "capture": "pixels", "run": "iterations x (pixels of a view + points)"}
 NEAREST = 5  # entries that a ratio is taken from
@@ -31,7 +31,7 @@ class Cost:
 
 
 @dataclass(frozen=True)
-class Line:
+class LinearCost:
     """A cost that grows from a constant."""
 
     constant: float
@@ -43,11 +43,15 @@ class Line:
 
 
 # Seconds over work, memory and disk over pixels: guesses of the right order, of a thread of a laptop.
-DEFAULTS: dict[str, tuple[Line, Line, Line]] = {
-    "set": (Line(3.0, 2.5e-7), Line(6e8, 60.0), Line(3e4, 45.0)),
-    "capture": (Line(0.5, 4e-6), Line(6e8, 150.0), Line(3e4, 45.0)),
-    "run": (Line(4.0, 1.5e-6), Line(9e8, 400.0), Line(1e6, 60.0)),
-    "measurement": (Line(10.0, 0.0), Line(1e9, 0.0), Line(3e3, 0.0)),  # its cost is known of its like alone
+DEFAULTS: dict[str, tuple[LinearCost, LinearCost, LinearCost]] = {
+    "set": (LinearCost(3.0, 2.5e-7), LinearCost(6e8, 60.0), LinearCost(3e4, 45.0)),
+    "capture": (LinearCost(0.5, 4e-6), LinearCost(6e8, 150.0), LinearCost(3e4, 45.0)),
+    "run": (LinearCost(4.0, 1.5e-6), LinearCost(9e8, 400.0), LinearCost(1e6, 60.0)),
+    "measurement": (
+        LinearCost(10.0, 0.0),
+        LinearCost(1e9, 0.0),
+        LinearCost(3e3, 0.0),
+    ),  # its cost is known of its like alone
 }
 
 
@@ -112,7 +116,7 @@ class Costs:
         return Cost(*(median(getattr(ratio, name) for ratio in near) for name in ("seconds", "memory", "disk")))
 
 
-def longest_after(plan: Plan, seconds: Mapping[str, float]) -> dict[str, float]:
+def longest_after(plan: StudyPlan, seconds: Mapping[str, float]) -> dict[str, float]:
     """Seconds from the start of each task to the end of the longest chain of tasks that begins with it."""
     after = dict(seconds)
     for key, task in reversed(plan.tasks.items()):  # each comes after the tasks it needs
@@ -121,7 +125,7 @@ def longest_after(plan: Plan, seconds: Mapping[str, float]) -> dict[str, float]:
     return after
 
 
-def time_left(plan: Plan, seconds: Mapping[str, float], workers: int) -> float:
+def time_left(plan: StudyPlan, seconds: Mapping[str, float], workers: int) -> float:
     """Seconds until all of these tasks are done: shared by the workers, but no less than the longest chain.
 
     Args:

@@ -64,7 +64,7 @@ class Order:
 
 
 @dataclass(frozen=True)
-class Step:
+class StageStep:
     """A stage of an entry."""
 
     do: Callable[[], Any]  # does it, or nothing if it is done already
@@ -72,7 +72,7 @@ class Step:
     repeatable: bool = False  # whether it can be done again alone, as the scores of a run can
 
 
-Steps = dict[str, Step]  # by name, in order
+Steps = dict[str, StageStep]  # by name, in order
 
 
 def ensure(order: Order, steps: Steps, console: Console, depends: dict[str, Any] | None = None) -> dict[str, Any]:

@@ -10,14 +10,14 @@ from novags.testbed.study.conduct import KEPT, there
 from novags.testbed.study.costs import Costs
 from novags.testbed.study.engines.choice import Engine
 from novags.testbed.study.engines.progress import duration
-from novags.testbed.study.plan import Plan
+from novags.testbed.study.plan import StudyPlan
 from novags.testbed.study.simulate import makespan, said_threads, simulated
 
 SHOWN = 40  # runs listed by name
 
 
 def forecast(
-    plan: Plan, store: Path, engine: Engine, *, url: str | None = None, nodes: Sequence[int] = ()
+    plan: StudyPlan, store: Path, engine: Engine, *, url: str | None = None, nodes: Sequence[int] = ()
 ) -> str:  # fmt: skip
     """A page for a terminal.
 
@@ -65,7 +65,7 @@ def forecast(
     return "\n".join([*lines, *simulated(plan, predicted, seconds, engine, nodes)])
 
 
-def _head(plan: Plan) -> str:
+def _head(plan: StudyPlan) -> str:
     study = plan.study
     product = " x ".join(f"{len(values)} {name}" for name, values in study.axes.items())
     product = product if study.ends != "measurement" else f"{product}, each knob turned alone"

@@ -88,7 +88,7 @@ class Knee:
 
 
 @dataclass(frozen=True)
-class Level:
+class LevelScore:
     """A score at one light level.
 
     Attributes:
@@ -127,7 +127,7 @@ class Curve:
     measure: Measure
     place: dict[str, Any]
     method: str
-    levels: tuple[Level, ...]
+    levels: tuple[LevelScore, ...]
     knee: Knee | None
 
     @property
@@ -189,7 +189,7 @@ def _curve(measure: Measure, place: dict[str, Any], method: str, rows: Iterable[
     for electrons in sorted(failed):
         each = [seed[electrons] for seed in seeds.values() if electrons in seed]
         values = tuple(value for value in each if value is not None)
-        levels.append(Level(electrons, values, failed[electrons]))
+        levels.append(LevelScore(electrons, values, failed[electrons]))
     knee = None if measure.breaks is None else _knee(seeds.values(), max(failed, default=0.0), measure)
     return Curve(measure, place, method, tuple(levels), knee)
 

@@ -25,7 +25,7 @@ from novags.testbed.study.conduct import FAILURES, conduct
 from novags.testbed.study.engines.choice import Engine
 from novags.testbed.study.engines.here import Here
 from novags.testbed.study.entry import Task
-from novags.testbed.study.plan import Plan, Planner, check
+from novags.testbed.study.plan import Planner, StudyPlan, check
 from novags.testbed.study.results import CSV, rescored
 from novags.testbed.study.steps import steps
 from sensor_model.files.door import resolved
@@ -88,7 +88,7 @@ def refuse_impossible(preset: Preset) -> None:
                          "of that name")  # fmt: skip
 
 
-def _planned(preset: Preset, out: Path, console: Console, overwrite: bool) -> Plan:
+def _planned(preset: Preset, out: Path, console: Console, overwrite: bool) -> StudyPlan:
     """Every task, each in a folder with a plain name.
 
     Raises:
@@ -102,7 +102,7 @@ def _planned(preset: Preset, out: Path, console: Console, overwrite: bool) -> Pl
     runs = tuple((cell, planner.run(cell.preset)) for cell in cells)
     tasks = {key: replace(task, place=task.group if task.kind == "run" else task.kind, overwrite=overwrite,
                           stale=DESCRIBED) for key, task in planner.tasks.items()}  # fmt: skip
-    return Plan(Study(out, {"method": preset.methods}, cells, 0, {}), tasks, runs)
+    return StudyPlan(Study(out, {"method": preset.methods}, cells, 0, {}), tasks, runs)
 
 
 def _source(task: Task, out: Path) -> Path | None:

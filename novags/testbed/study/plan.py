@@ -36,7 +36,7 @@ from simscenes.sets.writers.layouts import EXPORTS
 
 
 @dataclass(frozen=True)
-class Plan:
+class StudyPlan:
     """Every task by key, each after the tasks it needs, and the runs of the study with their keys."""
 
     study: Study
@@ -48,7 +48,7 @@ class Plan:
         """The keys of the runs, or of a data set's captures."""
         return frozenset(key for _, key in self.runs)
 
-    def only(self, knobs: Sequence[str], kept: Collection[str]) -> "Plan":
+    def only(self, knobs: Sequence[str], kept: Collection[str]) -> "StudyPlan":
         """Of measurements: the needs of these knobs (none named: all), and finished measurements.
 
         Raises:
@@ -68,7 +68,7 @@ class Plan:
         yield self.tasks[key]
 
 
-def plan_of(study: Study, store: Path, console: Console, *, here: bool = True) -> Plan:
+def plan_of(study: Study, store: Path, console: Console, *, here: bool = True) -> StudyPlan:
     """The tasks of a study; nothing is computed and nothing written.
 
     Args:
@@ -100,7 +100,7 @@ def plan_of(study: Study, store: Path, console: Console, *, here: bool = True) -
             )
         labels[key] = cell.label
         runs.append((cell, key))
-    return Plan(study, planner.tasks, tuple(runs))
+    return StudyPlan(study, planner.tasks, tuple(runs))
 
 
 def check(preset: Preset, console: Console, here: bool = True) -> None:

@@ -15,7 +15,7 @@ from novags.testbed.ledger.store import read_seal
 from novags.testbed.stages.scores.scoring import recovered_shares
 from novags.testbed.study.entry import Task
 from novags.testbed.study.knobs.measurement import read_measured
-from novags.testbed.study.plan import Plan
+from novags.testbed.study.plan import StudyPlan
 from sensor_model.files.atomic import write_text
 
 CSV = "results.csv"
@@ -33,7 +33,7 @@ class State:
 
 
 @dataclass
-class Table:
+class StudyTable:
     """The rows of a study.
 
     Attributes:
@@ -44,7 +44,7 @@ class Table:
         kept: Rows of finished runs that an earlier start wrote, by key; they stand until the run is looked at again.
     """
 
-    plan: Plan
+    plan: StudyPlan
     out: Path
     store: Path
     url: str | None = None
@@ -159,14 +159,16 @@ def _shares(scores: Mapping[str, Mapping[str, Any]], methods: Mapping[str, str])
     return found
 
 
-def rows_before(plan: Plan, out: Path, store: Path, url: str | None, sealed: set[str]) -> dict[str, dict[str, Any]]:
+def rows_before(
+    plan: StudyPlan, out: Path, store: Path, url: str | None, sealed: set[str]
+) -> dict[str, dict[str, Any]]:
     """Rows of runs of this plan that were done when the tables in `out` were last written, by key.
 
     Args:
         plan: The study.
         out: Its folder.
         store: The store.
-        url: Of the store, see `Table`.
+        url: Of the store, see `StudyTable`.
         sealed: Keys of the entries that are there.
     """
     try:

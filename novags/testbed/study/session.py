@@ -14,13 +14,13 @@ from novags.testbed.folders.run import RECORD
 from novags.testbed.folders.runs import EXPERIMENT, ROWS, STUDY, TABLE
 from novags.testbed.ledger.contents import jsonable, read_json, write_json
 from novags.testbed.study.cells.grid import Study
-from novags.testbed.study.plan import Plan
+from novags.testbed.study.plan import StudyPlan
 from novags.testbed.study.results import CSV, place_of
 
 SHAPE: Any = {"file": str, "table": dict, "runs": [{"values": dict, "key": str, "folder": str}]}
 
 
-def describe(plan: Plan, out: Path, store: Path, url: str | None = None) -> None:
+def describe(plan: StudyPlan, out: Path, store: Path, url: str | None = None) -> None:
     """Write study.json; `url`: where the store is, if it is not in the folder `store`."""
     runs = [
         {"values": cell.values, "key": key, "folder": place_of(plan.tasks[key], out, store, url)}
@@ -41,7 +41,7 @@ def jsonable_table(study: Study) -> dict[str, Any]:
     return found
 
 
-def refuse_other(plan: Plan, out: Path) -> None:
+def refuse_other(plan: StudyPlan, out: Path) -> None:
     """Refuse to write over results that the study would not have.
 
     A file that has more runs than before may go on in the same folder.

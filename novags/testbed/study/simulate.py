@@ -8,10 +8,10 @@ from novags.testbed.study.costs import Cost, longest_after
 from novags.testbed.study.engines.choice import Engine
 from novags.testbed.study.engines.local import MARGIN
 from novags.testbed.study.engines.progress import duration
-from novags.testbed.study.plan import Plan
+from novags.testbed.study.plan import StudyPlan
 
 
-def makespan(plan: Plan, seconds: Mapping[str, float], places: int) -> float:
+def makespan(plan: StudyPlan, seconds: Mapping[str, float], places: int) -> float:
     """Seconds until all tasks are done, the longest chains first, each task as soon as the tasks it needs are done.
 
     That is Graham's list scheduling, at most 2 - 1 / places times the shortest (SIAM J. Appl. Math. 17, 1969). A task
@@ -44,13 +44,13 @@ def makespan(plan: Plan, seconds: Mapping[str, float], places: int) -> float:
     return now
 
 
-def at_least(plan: Plan, seconds: Mapping[str, float], places: int) -> float:
+def at_least(plan: StudyPlan, seconds: Mapping[str, float], places: int) -> float:
     """Seconds that no schedule can beat: the longest chain, or all work shared evenly."""
     return max(max(longest_after(plan, seconds).values(), default=0.0), sum(seconds.values()) / places)
 
 
 def simulated(
-    plan: Plan, predicted: Mapping[str, Cost], seconds: Mapping[str, float], engine: Engine, nodes: Sequence[int]
+    plan: StudyPlan, predicted: Mapping[str, Cost], seconds: Mapping[str, float], engine: Engine, nodes: Sequence[int]
 ) -> list[str]:
     """A table for some numbers of nodes like this machine; no lines for no numbers.
 

@@ -18,7 +18,7 @@ from novags.testbed.stages.configs.importing import ImportConfig
 from novags.testbed.stages.configs.posing import PosesConfig
 from novags.testbed.stages.configs.rendering import RenderConfig
 from novags.testbed.stages.layouts import RECORD as SET
-from novags.testbed.study.entry import Order, Step, Steps, Task, ensure
+from novags.testbed.study.entry import Order, StageStep, Steps, Task, ensure
 from novags.testbed.study.knobs.measurement import MEASURED, measure
 
 
@@ -38,24 +38,26 @@ def steps(task: Task, folder: Path, source: Path | None, console: Console) -> St
         console: Where progress goes.
     """
     if task.kind == "measurement":
-        return {"measure": Step(lambda: measure(folder, task.config, source, console), MEASURED)}
+        return {"measure": StageStep(lambda: measure(folder, task.config, source, console), MEASURED)}
     config, again, stale = task.config, task.overwrite, [folder.parent / name for name in task.stale]
     if task.kind == "set":
         name = "poses" if isinstance(config, PosesConfig) else "render"
-        return {name: Step(lambda: make_set(folder, config, console, stale=stale, overwrite=again), SET)}
+        return {name: StageStep(lambda: make_set(folder, config, console, stale=stale, overwrite=again), SET)}
     assert source is not None
     if isinstance(config, ImportConfig):
         imported = lambda: stages.import_photographs(source, folder, config, console, overwrite=again)  # noqa: E731
-        return {"import": Step(imported, captures.RECORD)}
+        return {"import": StageStep(imported, captures.RECORD)}
     if task.kind == "capture":
         capture = partial(stages.capture, source, folder, config, console, stale=stale, overwrite=again,
                           for_runs=task.for_runs)  # fmt: skip
-        return {"capture": Step(capture, captures.RECORD)}
-    score = Step(lambda: stages.score(folder, console), runs.METRICS, repeatable=True)
+        return {"capture": StageStep(capture, captures.RECORD)}
+    score = StageStep(lambda: stages.score(folder, console), runs.METRICS, repeatable=True)
     if isinstance(config, CommandConfig):
-        run = Step(lambda: run_command(source, folder, config, console, overwrite=again), runs.RECORD)
+        run = StageStep(lambda: run_command(source, folder, config, console, overwrite=again), runs.RECORD)
         return {"command": run, "score": score}
-    run = Step(partial(stages.reconstruct, source, folder, config, console, stale=stale, overwrite=again), runs.RECORD)
+    run = StageStep(
+        partial(stages.reconstruct, source, folder, config, console, stale=stale, overwrite=again), runs.RECORD
+    )
     return {"reconstruct": run, "score": score}
 
 

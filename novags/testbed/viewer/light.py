@@ -17,7 +17,7 @@ GREY = 0.18  # linear; where a brightened picture has its mean green, as photogr
 
 
 @dataclass(frozen=True)
-class Camera:
+class ViewerCamera:
     """A camera and how its pictures are developed."""
 
     sensor: Sensor
@@ -27,7 +27,7 @@ class Camera:
     seed: int
 
     @staticmethod
-    def of(capture: Capture, source: Source, config: CaptureConfig | None = None) -> "Camera":
+    def of(capture: Capture, source: Source, config: CaptureConfig | None = None) -> "ViewerCamera":
         """The capture's own; where `config` is given or the camera of photographs is not known, the camera of
         `config`.
         """
@@ -36,12 +36,12 @@ class Camera:
         if config is not None or capture.sensor is None:
             chosen = CaptureConfig() if config is None else config
             sensor = camera_for(source, chosen)
-            return Camera(sensor, chosen.exposure, chosen.demosaic, source.color_matrix, seed)
+            return ViewerCamera(sensor, chosen.exposure, chosen.demosaic, source.color_matrix, seed)
         # The known light of imported photographs is in linear sRGB, not in the camera's own colours.
         matrix = None if capture.imported else record.color_matrix
-        return Camera(capture.sensor, capture.exposure, record.demosaic, matrix, seed)
+        return ViewerCamera(capture.sensor, capture.exposure, record.demosaic, matrix, seed)
 
-    def for_srgb(self) -> "Camera":
+    def for_srgb(self) -> "ViewerCamera":
         """The same camera before light that is in linear sRGB already, for any colours that the set was rendered in."""
         return replace(self, color_matrix=None)
 
@@ -53,7 +53,7 @@ class Camera:
 
 
 def expose_again(
-    radiance: NDArray, camera: Camera, *, electrons: float, mean_green: float, view: int, brighten: bool = True
+    radiance: NDArray, camera: ViewerCamera, *, electrons: float, mean_green: float, view: int, brighten: bool = True
 ) -> tuple[NDArray[np.uint8], float]:
     """One exposure of a view with every effect of the camera.
 

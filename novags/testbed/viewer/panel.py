@@ -13,7 +13,7 @@ NOTHING = "none"
 UNDECIDED = "…"  # until the first capture is open
 
 
-class Panel:
+class ControlPanel:
     """The controls of one browser; `asked` is told which parts of the view they change."""
 
     def __init__(self, gui: Any, titles: list[str], electrons: float, asked: Callable[..., None]) -> None:

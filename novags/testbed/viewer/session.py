@@ -10,7 +10,7 @@ from novags.cameras.align import to_true
 from novags.cameras.estimate import Array, centers_of
 from novags.testbed.viewer.latest import Latest
 from novags.testbed.viewer.light import expose_again
-from novags.testbed.viewer.panel import MODEL, NOTHING, TRUTH, Panel
+from novags.testbed.viewer.panel import MODEL, NOTHING, TRUTH, ControlPanel
 from novags.testbed.viewer.shown import Shown
 from novags.testbed.viewer.splats import rendered
 from novags.testbed.viewer.world import SIZE, own_cameras, true_from
@@ -38,7 +38,7 @@ class Session:
         self.latest = Latest(self._update)
         told = all_shown[0].capture.record.simulated
         first = 20.0 if told is None else told.electrons
-        self.panel = Panel(client.gui, [shown.title for shown in all_shown], first, self.latest.ask)
+        self.panel = ControlPanel(client.gui, [shown.title for shown in all_shown], first, self.latest.ask)
         self.latest.ask("capture")
         client.camera.on_update(lambda _: self.latest.ask("move"))
 

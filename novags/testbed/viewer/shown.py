@@ -12,7 +12,7 @@ from novags.cameras.align import Similarity
 from novags.methods.gaussian_scene import GaussianScene
 from novags.methods.memo import Memo
 from novags.methods.problem import encode
-from novags.methods.reconstruction import Scene
+from novags.methods.reconstruction import ReconstructedScene
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.references import enhanced_dark, pictured
@@ -21,7 +21,7 @@ from novags.testbed.folders.set import Source, scaled_rig
 from novags.testbed.report.place import runs_by_capture, title_of
 from novags.testbed.stages.capturing import measure_light
 from novags.testbed.stages.configs.capturing import CaptureConfig
-from novags.testbed.viewer.light import GREY, Camera
+from novags.testbed.viewer.light import GREY, ViewerCamera
 from novags.testbed.viewer.splats import Drawn, drawn, scene_of
 from novags.testbed.viewer.world import World, true_from
 from sensor_model.isp import srgb_to_linear
@@ -41,7 +41,7 @@ class Shown:
     source: Source
     runs: dict[str, Run]
     world: World
-    camera: Camera
+    camera: ViewerCamera
     memo: Memo = field(default_factory=Memo, repr=False, compare=False)
 
     @property
@@ -91,7 +91,7 @@ class Shown:
         green = self.run_green(name)
         return GREY / green if green > 0 else 1.0
 
-    def scene(self, name: str) -> tuple[Scene, Similarity, Drawn | None] | None:
+    def scene(self, name: str) -> tuple[ReconstructedScene, Similarity, Drawn | None] | None:
         """A run's scene, the way from its frame to the viewer's, and the data that the browser draws, if Gaussians;
         else None.
 
@@ -100,7 +100,7 @@ class Shown:
         """
         return self.memo.once(("scene", name), lambda: self._scene(name))
 
-    def _scene(self, name: str) -> tuple[Scene, Similarity, Drawn | None] | None:
+    def _scene(self, name: str) -> tuple[ReconstructedScene, Similarity, Drawn | None] | None:
         found = scene_of(self.runs[name])
         if found is None:
             return None
@@ -177,7 +177,7 @@ def shown_of(folders: Sequence[Path], console: Console, sensor: str | None = Non
                 source=source,
                 runs=runs,
                 world=World.of(capture, upright=source.views.kind == "rendered"),
-                camera=Camera.of(capture, source, config),
+                camera=ViewerCamera.of(capture, source, config),
             )
         )
     return found

@@ -11,7 +11,7 @@ from novags.cameras.estimate import Array
 from novags.methods.gaussian_scene import GaussianScene
 from novags.methods.nerf.scene import load_field
 from novags.methods.problem import encode
-from novags.methods.reconstruction import Scene
+from novags.methods.reconstruction import ReconstructedScene
 from novags.methods.rivals.denoised_scene import with_denoiser
 from novags.methods.tone import ResponseTable, ToneCurve
 from novags.splats.files.ply import read_ply
@@ -62,7 +62,7 @@ def drawn(scene: GaussianScene, into: Similarity, gain: float | None = None) -> 
     )
 
 
-def scene_of(run: Run) -> Scene | None:
+def scene_of(run: Run) -> ReconstructedScene | None:
     """The scene of a run as it rendered it, Gaussians or a field; None where it is of another kind.
 
     Raises:
@@ -91,7 +91,9 @@ def gaussians_of(run: Run) -> GaussianScene | None:
     return GaussianScene(read_ply(path), dilation, antialiased, near, curve, rows, response)
 
 
-def rendered(scene: Scene, into: Similarity, viewmat: Array, fov_y: float, size: tuple[int, int]) -> np.ndarray:
+def rendered(
+    scene: ReconstructedScene, into: Similarity, viewmat: Array, fov_y: float, size: tuple[int, int]
+) -> np.ndarray:
     """A picture of a scene.
 
     Args:

@@ -54,7 +54,7 @@ def check_xml(
     """
     path = resolved(path)
     given = dict(parameters)
-    reader = _Reader(path.parent, allow_outside, parameters=dict(given))
+    reader = _SceneReader(path.parent, allow_outside, parameters=dict(given))
     reader.read(path, 0, 0, "")
     if unused := sorted(set(given) - reader.used):
         known = ", ".join(sorted(reader.parameters.keys() - set(unused))) or "none"
@@ -114,7 +114,7 @@ def mitsuba_folder() -> Path:
 
 
 @dataclass
-class _Reader:
+class _SceneReader:
     """Reads as Mitsuba does: in document order, the first definition of a parameter wins, also across files."""
 
     root: Path

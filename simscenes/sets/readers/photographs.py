@@ -79,7 +79,7 @@ def _from_cv(K: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 @dataclass(frozen=True)
-class Frame:
+class FrameEntry:
     """An entry of a transforms.json but for its pose: its camera (over the file's camera) and image.
 
     `use` is the purpose its file states for it; None: not stated.
@@ -132,7 +132,7 @@ def names_for_testing(source: Path) -> list[str]:
     return [frame.file_path for frame in frames if frame.use == "test"]
 
 
-def transforms_frames(source: Path) -> tuple[list[Frame], Poses]:
+def transforms_frames(source: Path) -> tuple[list[FrameEntry], Poses]:
     """The frames that a nerfstudio or instant-ngp transforms.json lists, checked, without the frames it leaves out.
 
     Warnings name the frames it leaves out, and its entries that are not used here.
@@ -148,14 +148,14 @@ def transforms_frames(source: Path) -> tuple[list[Frame], Poses]:
     return [frames[i] for i in used], [poses[i] for i in used]
 
 
-def _all_frames(source: Path) -> tuple[list[Frame], Poses]:
+def _all_frames(source: Path) -> tuple[list[FrameEntry], Poses]:
     frames, poses, notes = _frames(source)
     for note in notes:
         warnings.warn(f"load_set: {note}", stacklevel=4)
     return frames, poses
 
 
-def _frames(source: Path) -> tuple[list[Frame], Poses, list[str]]:
+def _frames(source: Path) -> tuple[list[FrameEntry], Poses, list[str]]:
     """All frames of a file and their poses, checked, and notes for the user."""
     content = read_record(source, TRANSFORMS)
     split = split_of(content, source)
@@ -169,7 +169,7 @@ def _frames(source: Path) -> tuple[list[Frame], Poses, list[str]]:
         check_pose(pose, where)
         use = None if split is None else split.use(i)
         poses.append(pose)
-        frames.append(Frame(_camera(shared, entry), entry["file_path"], use))
+        frames.append(FrameEntry(_camera(shared, entry), entry["file_path"], use))
     masked = sum(bool(entry.get("mask_path")) for entry in content["frames"])
     notes = [] if split is None else list(split.notes)
     if masked:
@@ -296,7 +296,7 @@ def read_transforms(folder: Path) -> Photographs:
 
 
 def frames_at(
-    files: Sequence[Path | None], frames: Sequence[Frame], poses: Poses, folder: Path, source: Path
+    files: Sequence[Path | None], frames: Sequence[FrameEntry], poses: Poses, folder: Path, source: Path
 ) -> Photographs:  # fmt: skip
     """The photographs of these files (None: not there) and frames, with those held out that are for testing.
 

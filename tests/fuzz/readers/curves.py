@@ -85,11 +85,11 @@ def read_one(folder: Path, file: Path) -> object:
 
 
 def _subject():  # type: ignore[no-untyped-def]  # of a module that is imported late
-    from novags.testbed.study.knobs.knob import Knob, Measured, Subject
+    from novags.testbed.study.knobs.knob import Knob, Reading, Subject
 
     knob = Knob(
         name="k", settings=(1, 2, 4), default=2, unit="%", of="it", why="so",
-        measure=lambda s, i, c: Measured(0, 0, 0), parts=("fit",),
+        measure=lambda s, i, c: Reading(0, 0, 0), parts=("fit",),
     )  # fmt: skip
     return Subject("x", {"size": 3}, (knob,))
 

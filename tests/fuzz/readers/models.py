@@ -163,11 +163,11 @@ def read_enhancer(folder: Path, file: Path) -> object:
 def make_field(folder: Path) -> None:
     from novags.fields.box import Box
     from novags.fields.field import first_field
-    from novags.fields.layout import Layout
+    from novags.fields.layout import FieldLayout
     from novags.fields.march import Proposal
     from novags.methods.nerf.scene import FieldScene
 
-    field = first_field(Layout(coarsest=2, finest=4, log2_rows=8, static=0, viewed=3), 0)
+    field = first_field(FieldLayout(coarsest=2, finest=4, log2_rows=8, static=0, viewed=3), 0)
     box = Box(center=(0.0, 0.0, 0.0), half=(1.0, 1.0, 1.0), near=0.1, middle=3.0, far=50.0)
     FieldScene(field, box, Proposal(), 4, "light", {"unit": 0.5}).save(folder)
 
@@ -200,9 +200,9 @@ def _wall():
 def make_denoiser(folder: Path) -> None:
     import torch
 
-    from novags.methods.rivals.denoised_scene import DenoisedScene, Denoiser
+    from novags.methods.rivals.denoised_scene import DenoisedScene, StagedDenoiser
 
-    DenoisedScene(_wall(), torch.rand(5, 3), Denoiser(2)).save(folder)
+    DenoisedScene(_wall(), torch.rand(5, 3), StagedDenoiser(2)).save(folder)
 
 
 def read_denoiser(folder: Path, file: Path) -> object:

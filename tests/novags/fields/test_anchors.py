@@ -11,7 +11,7 @@ from torch import Tensor
 from novags.fields.box import box_of, contracted
 from novags.fields.evaluate import evaluate
 from novags.fields.field import first_field
-from novags.fields.layout import SIDE, Layout
+from novags.fields.layout import SIDE, FieldLayout
 from novags.fields.reference import evaluate_reference
 from novags.fields.training.anchors import COUNT, Anchors
 from novags.fields.training.batch import Batch
@@ -22,12 +22,12 @@ from novags.splats.views import Views
 fitting = importlib.import_module("novags.fields.training.fit")  # the package has a function of that name
 BOX = box_of(torch.tensor([[0.0, 0.0, -4.0]]), torch.from_numpy(np.random.default_rng(2).normal(size=(400, 3))))
 QUICK = FieldFitConfig(
-    iterations=150, rays=128, samples=16, warm=10, layout=Layout(finest=64, log2_rows=12), distortion=0.0
+    iterations=150, rays=128, samples=16, warm=10, layout=FieldLayout(finest=64, log2_rows=12), distortion=0.0
 )
 
 
 def test_gradients_are_those_of_the_weighted_loss_at_the_points_in_plain_torch() -> None:
-    layout = Layout(coarsest=3, finest=40, log2_rows=10, static=1, viewed=3)
+    layout = FieldLayout(coarsest=3, finest=40, log2_rows=10, static=1, viewed=3)
     field = first_field(layout, 3, np.arange(SIDE**3) % 3 == 0)
     field.table.copy_(torch.randn(field.table.shape, generator=torch.Generator().manual_seed(0)))
     points, aims = torch.randn(60, 3, dtype=torch.float64), torch.rand(60, 5, dtype=torch.float64)

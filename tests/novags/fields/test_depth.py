@@ -6,7 +6,7 @@ import torch
 
 from novags.fields.box import Box
 from novags.fields.field import first_field
-from novags.fields.layout import SIDE, Layout
+from novags.fields.layout import SIDE, FieldLayout
 from novags.fields.march import Proposal
 from novags.fields.render import median_distance, render_field
 from novags.splats import Views
@@ -49,7 +49,7 @@ def test_rays_through_nothing_have_no_depth_and_one_sample_has_its_own() -> None
 def test_depth_is_along_the_axis_of_the_camera_not_along_the_ray() -> None:
     """In thick fog all rays end at the same distance."""
     box = Box(center=(0, 0, 0), half=(1, 1, 1), near=0.5, middle=4, far=50)
-    field = first_field(Layout(log2_rows=10, static=0, viewed=3), 0, np.ones(SIDE**3, bool))
+    field = first_field(FieldLayout(log2_rows=10, static=0, viewed=3), 0, np.ones(SIDE**3, bool))
     K = torch.tensor([[[8.0, 0, 8], [0, 8.0, 8], [0, 0, 1]]])  # 45 degrees to each side
     viewmat = torch.eye(4)[None]
     thick = Proposal(np.full(SIDE**3, 50, np.float32))

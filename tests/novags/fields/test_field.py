@@ -7,13 +7,13 @@ from torch import Tensor
 
 from novags.fields.evaluate import GRAIN, basis_of, evaluate, gradients
 from novags.fields.field import Field, first_field
-from novags.fields.layout import LANES, SIDE, Layout
+from novags.fields.layout import LANES, SIDE, FieldLayout
 from novags.fields.reference import evaluate_reference
 
-LAYOUT = Layout(coarsest=3, finest=40, log2_rows=10, static=2, viewed=3)  # dense levels, and ones that share rows
+LAYOUT = FieldLayout(coarsest=3, finest=40, log2_rows=10, static=2, viewed=3)  # dense levels, and ones that share rows
 
 
-def some_field(layout: Layout = LAYOUT, seed: int = 3) -> Field:
+def some_field(layout: FieldLayout = LAYOUT, seed: int = 3) -> Field:
     g = torch.Generator().manual_seed(seed)
     field = first_field(layout, seed, np.arange(SIDE**3) % 3 == 0)
     field.table.copy_(torch.randn(field.table.shape, generator=g) * 0.5)
@@ -37,8 +37,8 @@ def reference(field: Field, positions: np.ndarray, basis: np.ndarray) -> tuple[T
     return evaluate_reference(field.layout, tensors, field.seeded, *args), tensors
 
 
-@pytest.mark.parametrize("layout", [LAYOUT, Layout(coarsest=2, finest=30, log2_rows=9, static=0, viewed=0)])
-def test_values_and_gradients_of_all_tensors_equal_those_of_plain_torch(layout: Layout) -> None:
+@pytest.mark.parametrize("layout", [LAYOUT, FieldLayout(coarsest=2, finest=30, log2_rows=9, static=0, viewed=0)])
+def test_values_and_gradients_of_all_tensors_equal_those_of_plain_torch(layout: FieldLayout) -> None:
     rays, samples = 150, 16  # more than one partial sum of the weights' gradients
     assert rays * samples > GRAIN
     field, (positions, basis) = some_field(layout), some_samples(rays, samples)
@@ -86,7 +86,7 @@ def test_seeds_of_other_numbers_give_other_fields_and_the_same_seed_the_same() -
 
 
 def test_levels_have_a_row_for_every_corner_until_the_table_is_full() -> None:
-    layout = Layout(coarsest=16, finest=512, log2_rows=17)
+    layout = FieldLayout(coarsest=16, finest=512, log2_rows=17)
     assert layout.resolutions[0] == 16
     assert layout.resolutions[-1] == 512
     assert layout.rows[0] == 17**3
@@ -104,7 +104,7 @@ def test_levels_have_a_row_for_every_corner_until_the_table_is_full() -> None:
 )
 def test_sizes_that_do_not_fit_are_refused(wrong: dict[str, int], said: str) -> None:
     with pytest.raises(ValueError, match=said):
-        Layout(**wrong)
+        FieldLayout(**wrong)
 
 
 def test_a_field_of_other_sizes_is_refused() -> None:

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from novags.fields import render as rendering
 from novags.fields.box import Box, box_of
-from novags.fields.layout import SIDE, Layout
+from novags.fields.layout import SIDE, FieldLayout
 from novags.fields.march import Proposal, cells_near
 from novags.fields.render import render_field
 from novags.fields.training.batch import Batch
@@ -31,7 +31,7 @@ TINY = FieldFitConfig(
     samples=16,
     warm=10,
     rate=0.01,
-    layout=Layout(finest=64, log2_rows=12),
+    layout=FieldLayout(finest=64, log2_rows=12),
     checkpoint_every=20,
 )
 

@@ -3,7 +3,7 @@
 import pytest
 
 from simscenes.job import curves
-from simscenes.job.curves import KNOBS, Bench, Setting, settings_of
+from simscenes.job.curves import KNOBS, SceneBench, Setting, settings_of
 
 pytestmark = pytest.mark.usefixtures("jit")
 
@@ -15,7 +15,7 @@ def test_each_knob_has_its_default_among_its_settings() -> None:
 
 def test_curves_show_the_error_fall_with_the_work(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(curves, "REFERENCE_ERROR", 0.03)
-    bench = Bench("cornell", 12)
+    bench = SceneBench("cornell", 12)
     noise = [bench.measure("spp", spp, 0) for spp in (16, 256)]
     missing = [bench.measure("max_depth", depth, 0).error for depth in (2, 8, 64)]
     assert all(found.seconds > 0 and found.cpu_seconds > 0 for found in noise)
@@ -28,7 +28,7 @@ def test_curves_show_the_error_fall_with_the_work(monkeypatch: pytest.MonkeyPatc
 def test_every_knob_can_be_turned(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(curves, "REFERENCE_ERROR", 0.1)
     ends = {knob: (values[0], values[-1]) for knob, values in KNOBS.items() if knob not in ("spp", "max_depth")}
-    bench, errors = Bench("cornell", 8), {}
+    bench, errors = SceneBench("cornell", 8), {}
     for knob, values in (ends | {"variant": ("scalar", "llvm_ad")}).items():
         for value in values:
             found = bench.measure(knob, value, 0)

@@ -10,16 +10,16 @@ import pytest
 
 from simscenes import default_rig
 from simscenes.job import curves
-from simscenes.job.curves import DEFAULT, KNOBS, Bench, Measured, Setting, settings_of, unit_of
+from simscenes.job.curves import DEFAULT, KNOBS, SceneBench, Setting, TimedError, settings_of, unit_of
 from simscenes.render import radiance
 
 TRUTHS = [np.arange(1.0, 13.0).reshape(2, 2, 3) * level for level in (1.0, 2.0, 5.0)]
 
 
 @pytest.fixture
-def bench() -> Bench:
+def bench() -> SceneBench:
     """A bench that has rendered nothing yet."""
-    made = Bench.__new__(Bench)
+    made = SceneBench.__new__(SceneBench)
     made.scene, made.weights = "cornell", ()
     made.rig = default_rig("cornell", 3, 4, 2)
     made._loaded, made._references = {}, {}
@@ -27,7 +27,7 @@ def bench() -> Bench:
 
 
 def test_noise_is_the_relative_error_without_that_of_the_reference(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
+    bench: SceneBench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A checkerboard of +-e on each view, relative to its mean: e = 0.1, 0.2, 0.4 first, then three times that."""
     sign = np.array([[1, -1], [-1, 1]])[..., None] * np.ones(3)
@@ -50,7 +50,7 @@ def test_noise_is_the_relative_error_without_that_of_the_reference(
 
 
 def test_light_is_missing_against_the_same_paths_followed_further(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
+    bench: SceneBench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """View i lacks 1, 2, 4 % of its light, and twice that with the second seed."""
 
@@ -67,7 +67,7 @@ def test_light_is_missing_against_the_same_paths_followed_further(
 
 
 def test_the_reference_is_deep_and_shares_no_random_numbers_with_what_is_measured(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
+    bench: SceneBench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It is rendered once for each kind of colours, to the error that is subtracted later."""
     made: list[Any] = []
@@ -93,7 +93,7 @@ def test_the_reference_is_deep_and_shares_no_random_numbers_with_what_is_measure
 
 @pytest.mark.parametrize(("sampler", "samples"), [(curves.OWN, "even"), (curves.OWN, "uneven"), ("stratified", "even")])
 def test_a_view_is_timed_when_its_kernels_are_compiled(
-    sampler: str, samples: str, bench: Bench, monkeypatch: pytest.MonkeyPatch
+    sampler: str, samples: str, bench: SceneBench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The first of two runs takes 46 s more; sensors and integrators, which take 100 s here, are made before."""
     clock, runs = SimpleNamespace(now=5.0), []
@@ -146,7 +146,7 @@ def test_a_view_is_timed_when_its_kernels_are_compiled(
     assert (seconds, cpu) == (4, 8)
 
 
-def test_lights_are_weighed_where_the_setting_says_so(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lights_are_weighed_where_the_setting_says_so(bench: SceneBench, monkeypatch: pytest.MonkeyPatch) -> None:
     """And every variant loads the scene once."""
     loads, weights = [], []
 
@@ -174,13 +174,13 @@ def test_lights_are_weighed_where_the_setting_says_so(bench: Bench, monkeypatch:
     assert loads == [("cornell", "scalar_rgb"), ("cornell", "scalar_spectral")]
 
 
-def test_every_knob_is_turned_alone(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_knob_is_turned_alone(bench: SceneBench, monkeypatch: pytest.MonkeyPatch) -> None:
     """Depth is measured as missing light, colours against full spectra, the rest as noise; missing variants not."""
     asked: list[tuple[Setting, int, str]] = []
 
-    def measured(s: Setting, seed: int, by: str = "missing") -> Measured:
+    def measured(s: Setting, seed: int, by: str = "missing") -> TimedError:
         asked.append((s, seed, by))
-        return Measured(1.0, 2.0, 3.0)
+        return TimedError(1.0, 2.0, 3.0)
 
     monkeypatch.setattr(bench, "noise", measured)
     monkeypatch.setattr(bench, "missing", measured)
@@ -190,7 +190,7 @@ def test_every_knob_is_turned_alone(bench: Bench, monkeypatch: pytest.MonkeyPatc
     wanted = [(knob, value) for knob in KNOBS for value in settings_of(knob)[0]]
     assert wanted == [(knob, value) for knob, values in KNOBS.items() for value in values if value != "cuda_ad"]
     for knob, value in wanted:
-        assert bench.measure(knob, value, 6) == Measured(1.0, 2.0, 3.0)
+        assert bench.measure(knob, value, 6) == TimedError(1.0, 2.0, 3.0)
         turned, seed, by = asked[-1]
         changed = {k for k, v in vars(turned).items() if v != getattr(DEFAULT, k)}
         assert changed <= {knob}

@@ -13,7 +13,7 @@ import pytest
 from simscenes import Rig, orbit_rig
 from simscenes.job import cost, views
 from simscenes.job.cost import Stopwatch, peak_bytes, predict_seconds, versions
-from simscenes.job.views import QUARTERS, Job, render_views
+from simscenes.job.views import QUARTERS, RenderJob, render_views
 from simscenes.render import radiance
 
 RIG = orbit_rig(12, 6, 4, 40, radius=3.0)
@@ -101,8 +101,8 @@ def test_a_part_of_a_view_is_timed_when_its_kernel_is_compiled(
         clock.now += (0 if traced else 60) + 2 * more.sum() / 8
         traced.append(int(more.sum()))
 
-    monkeypatch.setattr(radiance.View, "_draw", draw)
-    view = radiance.View(SimpleNamespace(variant=variant, subframes=1), RIG, 0)  # type: ignore[arg-type]
+    monkeypatch.setattr(radiance.RenderedView, "_draw", draw)
+    view = radiance.RenderedView(SimpleNamespace(variant=variant, subframes=1), RIG, 0)  # type: ignore[arg-type]
     assert view.seconds(36, part) == pytest.approx(108)
     assert traced == [drawn] * 2
 
@@ -120,8 +120,8 @@ def test_a_pilot_is_timed_without_the_compilation_of_its_kernel_and_drawn_once(
         self.samples.count += more
         traced.append(int(more.sum()))
 
-    monkeypatch.setattr(radiance.View, "_draw", draw)
-    view = radiance.View(SimpleNamespace(variant="llvm", subframes=1), RIG, 0)  # type: ignore[arg-type]
+    monkeypatch.setattr(radiance.RenderedView, "_draw", draw)
+    view = radiance.RenderedView(SimpleNamespace(variant="llvm", subframes=1), RIG, 0)  # type: ignore[arg-type]
     assert view.pilot.seconds == pytest.approx(3)
     assert traced == [24 * radiance.PILOT_SPP // 2]
 
@@ -137,7 +137,7 @@ def test_versions_and_memory_are_those_of_this_process() -> None:
 
 
 @pytest.fixture
-def job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Job]:
+def job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., RenderJob]:
     """A job of four views whose second one is there already; nothing is rendered."""
     monkeypatch.setattr(views, "using_variant", lambda *a: nullcontext())
     monkeypatch.setattr(views, "View", lambda method, rig, i: SimpleNamespace(i=i))
@@ -146,7 +146,7 @@ def job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Job]:
     monkeypatch.setattr(views, "_rendered_before", lambda job, i, path, key: done if i == 1 else None)
     radiance, names = iter([40.0, 100.0, 70.0]), ["0000", "0001", "0002", "0003"]
 
-    def rendered(job: Job, view: Any, path: Path, key: str, tick: Callable[[float], None]) -> dict[str, Any]:
+    def rendered(job: RenderJob, view: Any, path: Path, key: str, tick: Callable[[float], None]) -> dict[str, Any]:
         assert path == job.out / "gt" / f"000{view.i}.exr"
         tick(0.5)
         for stage, seconds in (("radiance", next(radiance)), ("geometry", 10.0), ("write", 1e6)):
@@ -158,14 +158,14 @@ def job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Job]:
     config = {"spp": 16, "noise_target": None, "optics": {"motion": None}}
     plan = SimpleNamespace(bias=(0.3, 1.2, 0.0, 0.0, 0.0))
 
-    def make(progress: Callable[[int, int, str], None]) -> Job:
+    def make(progress: Callable[[int, int, str], None]) -> RenderJob:
         rig = orbit_rig(4, 6, 4, 40, radius=3.0)
-        return Job(method, plan, None, "scalar", rig, tmp_path, names, config, "d", None, Stopwatch(), progress)  # type: ignore[arg-type]
+        return RenderJob(method, plan, None, "scalar", rig, tmp_path, names, config, "d", None, Stopwatch(), progress)  # type: ignore[arg-type]
 
     return make
 
 
-def test_the_time_left_follows_the_views_that_are_done(job: Callable[..., Job]) -> None:
+def test_the_time_left_follows_the_views_that_are_done(job: Callable[..., RenderJob]) -> None:
     """300 s are predicted for three views; then one takes 40 + 10 s, and two take 140 + 20 s."""
     said: list[tuple[int, int, str]] = []
     found, predicted = render_views(job(lambda *what: said.append(what)))
@@ -188,7 +188,7 @@ def test_the_time_left_follows_the_views_that_are_done(job: Callable[..., Job]) 
 
 
 def test_nothing_is_predicted_where_nothing_is_missing(
-    job: Callable[..., Job], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    job: Callable[..., RenderJob], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """And of the files in the folder only views of a larger set are removed."""
     monkeypatch.setattr(
@@ -205,7 +205,7 @@ def test_nothing_is_predicted_where_nothing_is_missing(
 
 
 def test_a_view_is_written_with_its_variance_and_without_negative_light(
-    job: Callable[..., Job], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    job: Callable[..., RenderJob], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.undo()
     monkeypatch.setattr(views, "using_variant", lambda *a: nullcontext())

@@ -6,7 +6,7 @@ import pytest
 from simscenes import default_rig
 from simscenes.backend import backend_status, using_variant
 from simscenes.loading.load import build_scene
-from simscenes.render.radiance import Method, View
+from simscenes.render.radiance import RenderedView, RenderMethod
 
 WORKS = backend_status("cuda_ad")[0] and backend_status("llvm_ad")[0]
 
@@ -21,7 +21,7 @@ def test_cuda_renders_tabletop_like_llvm(target: float | None) -> None:
         with using_variant(variant) as mi:
             loaded = build_scene("tabletop", mi)
             integrator = mi.load_dict({"type": "path", "max_depth": 8, "rr_depth": 2})
-            view = View(Method(mi, mi.variant(), loaded, integrator), rig, 1)
+            view = RenderedView(RenderMethod(mi, mi.variant(), loaded, integrator), rig, 1)
             results.append(view.render(256 if target is None else None, target))
     a, b = (r.mean.astype(np.float64) for r in results)
     va, vb = (r.variance.astype(np.float64) for r in results)

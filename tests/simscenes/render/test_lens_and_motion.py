@@ -11,7 +11,7 @@ from simscenes import Optics, Rig, orbit_rig, plan_transport, render_set
 from simscenes.backend import activate
 from simscenes.loading.load import build_scene
 from simscenes.render.motion import moved_pose, subframe_rig
-from simscenes.render.radiance import Method, View
+from simscenes.render.radiance import RenderedView, RenderMethod
 
 SceneMaker = Callable[..., dict[str, Any]]
 
@@ -99,7 +99,7 @@ def test_motion_blur_averages_the_poses(tmp_path: Path, diffuse_box: SceneMaker,
     frames = subframe_rig(rig, 1, 0.3, blurred.meta["plan"]["subframes"])
     mi = activate()
     loaded = build_scene(diffuse_box(), mi)
-    method = Method(mi, mi.variant(), loaded, mi.load_dict({"type": "path", "max_depth": 8, "rr_depth": 2}))
-    mean = np.mean([View(method, frames, k).render(32, None).mean for k in range(len(frames))], 0)
+    method = RenderMethod(mi, mi.variant(), loaded, mi.load_dict({"type": "path", "max_depth": 8, "rr_depth": 2}))
+    mean = np.mean([RenderedView(method, frames, k).render(32, None).mean for k in range(len(frames))], 0)
     away, still = (np.abs(blurred.radiance(1) - other).mean() for other in (mean, sharp.radiance(1)))
     assert away < 0.5 * still

@@ -9,7 +9,7 @@ from simscenes import Optics, Rig
 from simscenes.backend import activate, using_variant
 from simscenes.loading.load import build_scene
 from simscenes.render.geometry import pixel_rays
-from simscenes.render.radiance import Method, View
+from simscenes.render.radiance import RenderedView, RenderMethod
 from simscenes.render.sequences import Radiance
 from simscenes.rigs import intrinsics, look_at
 
@@ -22,7 +22,7 @@ def rendered(scene: dict[str, Any], spp: int = 128, size: int = 12, eye: Any = (
     with using_variant(color=method.pop("color", "rgb")) as mi:
         loaded = build_scene({"type": "scene", **scene}, mi)
         integrator = mi.load_dict({"type": kind, "max_depth": 64, "rr_depth": 2})
-        return View(Method(mi, mi.variant(), loaded, integrator, **method), rig, 0).render(spp, None)
+        return RenderedView(RenderMethod(mi, mi.variant(), loaded, integrator, **method), rig, 0).render(spp, None)
 
 
 def diffuse(albedo: float) -> dict[str, Any]:

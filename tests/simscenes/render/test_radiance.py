@@ -10,7 +10,7 @@ from simscenes import Rig, orbit_rig
 from simscenes.backend import activate, using_variant
 from simscenes.loading.load import LoadedScene, build_scene
 from simscenes.render.geometry import geometry_channels
-from simscenes.render.radiance import MAX_FILM_SPP, Method, View, grid_spp
+from simscenes.render.radiance import MAX_FILM_SPP, RenderedView, RenderMethod, grid_spp
 from simscenes.render.sensors import sensor_dict
 from simscenes.render.sequences import count_fireflies, summary
 from simscenes.rigs import intrinsics
@@ -25,7 +25,7 @@ def radiance(
 ) -> Any:
     mi = activate()
     integrator = mi.load_dict({"type": "path", "max_depth": 8, "rr_depth": 2})
-    return View(Method(mi, mi.variant(), loaded, integrator, seed=seed), rig, 0).render(spp, target_error)
+    return RenderedView(RenderMethod(mi, mi.variant(), loaded, integrator, seed=seed), rig, 0).render(spp, target_error)
 
 
 @pytest.mark.parametrize("ground", [20.0, 2e4, 2e6])
@@ -83,8 +83,8 @@ def test_samples_in_two_sequences_are_almost_as_good_as_in_one_block(view: Camer
     integrator = mi.load_dict({"type": "path", "max_depth": 2, "rr_depth": 3})
     ours, whole = [], []
     for seed in range(8):
-        method = Method(mi, mi.variant(), loaded, integrator, seed=seed)
-        ours.append(View(method, rig, 0).render(64, None).mean)
+        method = RenderMethod(mi, mi.variant(), loaded, integrator, seed=seed)
+        ours.append(RenderedView(method, rig, 0).render(64, None).mean)
         sensor = mi.load_dict(
             sensor_dict(mi, rig, 0, loaded) | {"sampler": {"type": "multijitter", "sample_count": 64}}
         )
@@ -107,7 +107,7 @@ def test_a_scalar_variant_counts_what_it_draws_and_never_repeats_itself(view: Ca
     with using_variant("scalar") as mi:
         loaded, rig = build_scene(ball_on_plane(), mi), view(4, 3)
         integrator = mi.load_dict({"type": "path", "max_depth": 2})
-        one = View(Method(mi, mi.variant(), loaded, integrator), rig, 0)
+        one = RenderedView(RenderMethod(mi, mi.variant(), loaded, integrator), rig, 0)
         one.render(9, None)
         assert (one.samples.count == 6).all()  # 5 asked in each half, 2 x 3 drawn
         sums = one.samples.sums.copy()
@@ -173,7 +173,7 @@ def test_a_scalar_variant_reaches_a_target_evenly(ball_on_plane: Scene, view: Ca
     with using_variant("scalar") as mi:
         loaded, rig = build_scene(ball_on_plane(), mi), view(8, 6)
         integrator = mi.load_dict({"type": "path", "max_depth": 4, "rr_depth": 2})
-        result = View(Method(mi, mi.variant(), loaded, integrator), rig, 0).render(None, 0.1)
+        result = RenderedView(RenderMethod(mi, mi.variant(), loaded, integrator), rig, 0).render(None, 0.1)
     assert result.error <= 0.1
     assert result.spp >= 16
 
@@ -185,6 +185,10 @@ def test_a_small_thing_is_seen_from_far_away(away: float) -> None:
     paint = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.2}}
     loaded = build_scene({"type": "scene", "ball": {"type": "sphere", "bsdf": paint}, "sky": {"type": "constant"}}, mi)
     rig = orbit_rig(1, 9, 9, float(np.degrees(2 * np.arctan(2 / away))), target=(0, 0, 0), radius=away)
-    picture = View(Method(mi, mi.variant(), loaded, mi.load_dict({"type": "path"})), rig, 0).render(64, None).mean
+    picture = (
+        RenderedView(RenderMethod(mi, mi.variant(), loaded, mi.load_dict({"type": "path"})), rig, 0)
+        .render(64, None)
+        .mean
+    )
     assert picture[4, 4] == pytest.approx(0.2, rel=0.02)
     assert picture[0, 0] == pytest.approx(1.0)

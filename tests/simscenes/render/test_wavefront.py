@@ -11,7 +11,7 @@ from simscenes import Optics, Rig
 from simscenes.backend import activate, using_variant
 from simscenes.loading.load import LoadedScene, build_scene
 from simscenes.render import radiance, wavefront
-from simscenes.render.radiance import Method, View
+from simscenes.render.radiance import RenderedView, RenderMethod
 from simscenes.render.sensors import sensor_dict
 from simscenes.render.sequences import LEAST, Sequences, _shares_around, good_counts, pooled, sample_shares
 from simscenes.rigs import intrinsics, look_at
@@ -40,9 +40,9 @@ def rig(size: int = SIZE) -> Rig:
     return Rig(viewmats=viewmat[None], Ks=intrinsics(size, size, 45)[None], width=size, height=size)
 
 
-def view(mi: Any, loaded: LoadedScene, seed: int = 0, size: int = SIZE) -> View:
+def view(mi: Any, loaded: LoadedScene, seed: int = 0, size: int = SIZE) -> RenderedView:
     integrator = mi.load_dict({"type": "path", "max_depth": 6, "rr_depth": 2})
-    return View(Method(mi, mi.variant(), loaded, integrator, seed=seed), rig(size), 0)
+    return RenderedView(RenderMethod(mi, mi.variant(), loaded, integrator, seed=seed), rig(size), 0)
 
 
 LENS = Optics(aperture_radius=0.8, focus_distance=3.0)
@@ -245,15 +245,15 @@ def test_rare_light_is_not_lost_where_a_pilot_missed_it(monkeypatch: pytest.Monk
     """
     rng = np.random.default_rng(0)
 
-    def sampled(self: View, sensor: Any, first: Any, more: Any, frame: int) -> Any:
+    def sampled(self: RenderedView, sensor: Any, first: Any, more: Any, frame: int) -> Any:
         for half in range(2):
             found = np.repeat(rng.binomial(more, 0.01)[:, None] * 100.0, 3, -1)
             yield slice(half, half + 1), slice(0, len(more)), found
 
-    monkeypatch.setattr(View, "_light", sampled)
-    monkeypatch.setattr(View, "sensors", [None])
-    method = Method(None, "llvm_ad_rgb", None, None)  # type: ignore[arg-type]  # nothing is traced
-    found = [View(method, rig(), 0).render(None, 0.7).mean.mean() for _ in range(400)]
+    monkeypatch.setattr(RenderedView, "_light", sampled)
+    monkeypatch.setattr(RenderedView, "sensors", [None])
+    method = RenderMethod(None, "llvm_ad_rgb", None, None)  # type: ignore[arg-type]  # nothing is traced
+    found = [RenderedView(method, rig(), 0).render(None, 0.7).mean.mean() for _ in range(400)]
     error = np.std(found) / np.sqrt(len(found))
     assert np.mean(found) == pytest.approx(1, abs=5 * error)
     assert error < 0.005

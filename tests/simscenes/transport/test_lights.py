@@ -14,7 +14,7 @@ from simscenes import Rig, orbit_rig, plan_transport, read_exr, render_set
 from simscenes.backend import activate
 from simscenes.job.identity import plan_identity
 from simscenes.loading.load import LoadedScene, build_scene, set_light_weights
-from simscenes.render.radiance import Method, View
+from simscenes.render.radiance import RenderedView, RenderMethod
 from simscenes.render.sequences import Radiance
 from simscenes.transport.lights import in_even_parts, light_weights
 
@@ -43,7 +43,7 @@ def ring(n: int = 2, size: int = 16) -> Rig:
 def rendered(loaded: LoadedScene, spp: int = 128) -> Radiance:
     mi = activate()
     integrator = mi.load_dict({"type": "path", "max_depth": 8, "rr_depth": 2})
-    return View(Method(mi, mi.variant(), loaded, integrator), ring(size=40), 0).render(spp, None)
+    return RenderedView(RenderMethod(mi, mi.variant(), loaded, integrator), ring(size=40), 0).render(spp, None)
 
 
 def test_weighing_lights_keeps_the_mean_and_lowers_the_noise() -> None:

@@ -9,7 +9,7 @@ from simscenes import Rig, default_rig
 from simscenes.backend import activate, backend_of
 from simscenes.loading.load import build_scene
 from simscenes.loading.reference import SceneRef
-from simscenes.render.radiance import Method, View
+from simscenes.render.radiance import RenderedView, RenderMethod
 from simscenes.rigs import intrinsics, look_at
 from simscenes.transport.effects import roulette_effect
 from simscenes.transport.pilot import Pilot, pilot_rig
@@ -125,7 +125,9 @@ def test_the_noise_of_paths_is_what_many_renders_differ_by() -> None:
     for seed in range(24):
         integrator = mi.load_dict(integrators[0])
         images.append(
-            View(Method(mi, mi.variant(), loaded, integrator, seed=100 + seed), rig, 0).render(128, None).mean
+            RenderedView(RenderMethod(mi, mi.variant(), loaded, integrator, seed=100 + seed), rig, 0)
+            .render(128, None)
+            .mean
         )
     # The mean of two sequences of 64 has half the variance of one, and two of them differ by twice that of one.
     assert found[0] == pytest.approx(4 * np.var(images, 0, ddof=1).mean(), rel=0.3)

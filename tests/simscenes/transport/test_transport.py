@@ -9,7 +9,7 @@ import pytest
 from simscenes import Rig, default_rig, plan_transport
 from simscenes.backend import activate, backend_of, using_variant
 from simscenes.loading.load import build_scene
-from simscenes.render.radiance import Method, View
+from simscenes.render.radiance import RenderedView, RenderMethod
 from simscenes.scenes import SCENES
 from simscenes.transport import TransportPlan
 from simscenes.transport.effects import _is_chromatic
@@ -100,8 +100,8 @@ def difference(
     for made in (plan, reference):
         with using_variant(backend_of(), made.color) as mi:
             loaded = build_scene(scene, mi)
-            method = Method(mi, mi.variant(), loaded, mi.load_dict(made.integrator()))
-            seen = [View(method, rig, i).render(spp, None) for i in range(len(rig))]
+            method = RenderMethod(mi, mi.variant(), loaded, mi.load_dict(made.integrator()))
+            seen = [RenderedView(method, rig, i).render(spp, None) for i in range(len(rig))]
         images.append(np.stack([v.mean for v in seen]).astype(np.float64).mean(-1))
         # The channels of a pixel err together.
         variances.append(np.stack([v.variance for v in seen]).astype(np.float64).mean(-1))

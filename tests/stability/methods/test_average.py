@@ -13,7 +13,7 @@ import pytest
 
 from novags.methods.averaging import scene, surface, warp
 from novags.methods.averaging.scene import Average, AveragedScene, average
-from novags.methods.averaging.surface import Camera
+from novags.methods.averaging.surface import SurfaceCamera
 from novags.methods.averaging.warp import Rules
 from tests.stability.case import LARGEST, Case, Error, Fails, Part, Setting, relative_error, worst_error
 
@@ -29,13 +29,15 @@ INNER = np.s_[4:-4, 4:-4]  # where no kernel reaches beyond a rim
 Array = np.ndarray
 
 
-def _camera(shift: tuple[float, float], depth: float, normal: tuple[float, float, float] = (0.0, 0.0, -1.0)) -> Camera:
+def _camera(
+    shift: tuple[float, float], depth: float, normal: tuple[float, float, float] = (0.0, 0.0, -1.0)
+) -> SurfaceCamera:
     """Parallel to the plane at this depth, which moves by `shift` pixels in its picture."""
     K = np.array([[FOCAL, 0, WIDTH / 2], [0, FOCAL, HEIGHT / 2], [0, 0, 1.0]])
     viewmat = np.eye(4)
     viewmat[:2, 3] = np.array(shift) * (1.0 if np.isinf(depth) else depth) / FOCAL
     size = (HEIGHT, WIDTH)
-    return Camera.of(viewmat, K, np.full(size, depth), np.broadcast_to(np.array(normal), (*size, 3)))
+    return SurfaceCamera.of(viewmat, K, np.full(size, depth), np.broadcast_to(np.array(normal), (*size, 3)))
 
 
 def _light(shift: tuple[float, float]) -> Array:

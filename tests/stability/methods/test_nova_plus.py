@@ -14,7 +14,7 @@ import torch
 from novags.methods.noise import Variance
 from novags.methods.nova_plus import merge
 from novags.methods.nova_plus.average import averages
-from novags.methods.nova_plus.data import Exposures
+from novags.methods.nova_plus.data import LightMeasurements
 from novags.methods.nova_plus.likelihood import FLOOR, Likelihood
 from novags.methods.nova_plus.merge import merged
 from novags.methods.tone import ToneCurve, tone_curve
@@ -29,14 +29,14 @@ SLOPE, OFFSET = 3e-4, 1e-8  # of the variance: read noise of a third of an elect
 Array = np.ndarray
 
 
-def _exposures(light: Array) -> Exposures:
+def _exposures(light: Array) -> LightMeasurements:
     zero, never = (0.0,) * 3, (math.inf,) * 3
     curve = NoiseCurve(
         black=zero, white=(1.0,) * 3, offset=(OFFSET,) * 3, slope=(SLOPE,) * 3, quadratic=zero, switch=never, step=zero
     )
     data = torch.tensor(light, dtype=torch.float32)[None]
     held = torch.zeros(data.shape[:3], dtype=torch.bool)
-    return Exposures(light=data, held=held, noise=Variance(curve), white=torch.ones(3), matrix=None)
+    return LightMeasurements(light=data, held=held, noise=Variance(curve), white=torch.ones(3), matrix=None)
 
 
 def _likelihood(setting: Setting, tones: Array, light: Array, curve: ToneCurve) -> float:

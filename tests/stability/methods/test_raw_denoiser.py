@@ -15,7 +15,7 @@ from novags.methods.denoised.anscombe import Anscombe
 from novags.methods.denoised.blend import best_blend
 from novags.methods.denoised.config import AdaptConfig
 from novags.methods.denoised.estimate import estimate
-from novags.methods.denoised.measured import Measured, of_capture
+from novags.methods.denoised.measured import MeasuredPictures, of_capture
 from novags.methods.denoised.network import Network
 from novags.methods.denoised.packing import mask_of
 from novags.methods.denoised.recorrupted import Adaptation
@@ -140,7 +140,7 @@ def adaptation_in_the_dark(setting: Setting) -> float:
     one, dark, network = torch.ones(3), torch.zeros(2, 3, 16, 16), load_weights()
     nn.init.zeros_(network.leave.weight)  # an estimate of exactly 0, whose variance is exactly 0
     nn.init.zeros_(network.leave.bias)
-    pictures = Measured(dark, mask_of((16, 16), None), _curve(0.0, 1.0), 0 * one, one, one, None)
+    pictures = MeasuredPictures(dark, mask_of((16, 16), None), _curve(0.0, 1.0), 0 * one, one, one, None)
     loss = Adaptation(network, pictures, AdaptConfig(batch=2, crop=16), seed=0).loss()
     loss.backward()
     slopes = [p.grad for p in network.parameters() if p.grad is not None]

@@ -24,12 +24,12 @@ def read_keras(content: bytes) -> dict[str, Tensor]:
         ValueError: If the content is damaged, or of another layout.
     """
     try:
-        return _File(content).tensors()
+        return _KerasFile(content).tensors()
     except struct.error as error:
         raise ValueError(f"it ends too early ({error})") from error
 
 
-class _File:
+class _KerasFile:
     def __init__(self, content: bytes) -> None:
         self.content = content
         self.seen: set[int] = set()

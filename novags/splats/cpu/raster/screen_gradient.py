@@ -11,7 +11,7 @@ import numpy as np
 from ..compiler import inline, kernel
 from ..memory import empty
 from ..parallel import run
-from ..pipeline import Frame
+from ..pipeline import RasterFrame
 from . import composite
 from .record import ALPHA_MAX, BLOCK, CHANNEL, CHANNELS, HALF_LOG2E, LOG2_ALPHA_MIN, TILE, TOP, A, K, Q, X, Y
 
@@ -21,7 +21,7 @@ SIDE = TILE // BLOCK
 GRAIN_TILES = 2
 
 
-def screen_gradient(frame: Frame, v_image: np.ndarray, v_alpha: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def screen_gradient(frame: RasterFrame, v_image: np.ndarray, v_alpha: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """dL/d means2d [N, 2], and the sum over pixels of its absolute value [N, 2].
 
     Args:

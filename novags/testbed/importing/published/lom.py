@@ -21,7 +21,7 @@ from simscenes.rigs import opengl_to_opencv
 from simscenes.sets.multiview import MultiviewSet
 from simscenes.sets.readers.colmap import colmap_lens, colmap_views, is_model
 from simscenes.sets.readers.nerf_synthetic import PARTS
-from simscenes.sets.readers.photographs import Frame, Photographs, collect, transforms_frames, transforms_lens
+from simscenes.sets.readers.photographs import FrameEntry, Photographs, collect, transforms_frames, transforms_lens
 from simscenes.sets.readers.resized import sorted_pictures
 
 DARK, LIT, MODEL = "low", "high", "colmap_sparse"
@@ -43,7 +43,7 @@ class LomScene(MultiviewSet):
 class _View:
     """The entry of one picture in the JSON files."""
 
-    frame: Frame
+    frame: FrameEntry
     pose: NDArray[np.float64]  # camera-to-world [4,4], OpenGL axes
     source: Path
     parts: set[str] = field(default_factory=set)

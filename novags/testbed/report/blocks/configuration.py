@@ -3,7 +3,7 @@
 import json
 from typing import Any
 
-from novags.testbed.report.material import Made, Material
+from novags.testbed.report.material import Material, RunRecords
 from novags.testbed.report.parts import Page, Table, TableRow, heads
 from novags.testbed.report.rows import deviations
 from novags.testbed.report.words import named
@@ -23,7 +23,7 @@ def failed(material: Material, page: Page) -> dict[str, Any] | None:
 
 def departures(material: Material, page: Page) -> dict[str, Any] | None:
     """Every setting in which a run differs from its method as published; of many places in the first run of each."""
-    first: dict[str, Made] = {}
+    first: dict[str, RunRecords] = {}
     for each in material.made.values():
         first.setdefault(material.called(each), each)
     found, columns = list[dict[str, Any]](), heads("Setting | Published | Here")

@@ -9,7 +9,7 @@ from markupsafe import Markup
 from novags.testbed.folders.run import METRICS, Run
 from novags.testbed.ledger.contents import read_json
 from novags.testbed.report.material import Material
-from novags.testbed.report.parts import Cell, Column, Page, Table, TableRow, heads, num
+from novags.testbed.report.parts import Column, Page, Table, TableCell, TableRow, heads, num
 from novags.testbed.report.words import duration, size
 
 BAR = Markup('<span class="bar {}" style="width:{:.1f}%"></span><small class="muted">{}</small>')
@@ -24,7 +24,7 @@ def cost(material: Material, page: Page) -> dict[str, Any] | None:
     several = any(row["count"] > 1 for row in stages)
     for row in stages:
         parts = ", ".join(f"{part} {duration(seconds)}" for part, seconds in row["parts"].items())
-        bar = Cell(BAR.format(row["look"], 100 * row["bar"], parts), WIDE.format(row["share"]))
+        bar = TableCell(BAR.format(row["look"], 100 * row["bar"], parts), WIDE.format(row["share"]))
         count, seconds = row["count"], row["seconds"]
         times = [num(count, 0), num(seconds, duration(seconds)), num(seconds / count, duration(seconds / count))]
         rows.append(

@@ -29,7 +29,7 @@ HEADINGS = {  # columns of KNEES in the words of the page
 
 
 @dataclass(frozen=True)
-class Picture:
+class CurvePicture:
     """Curves of one score in one place, and where they are drawn."""
 
     title: str  # score, and place if there are several
@@ -87,7 +87,7 @@ def _table(knees: Sequence[Mapping[str, Any]], curves: Sequence[Curve]) -> Table
     return Table("knees", "Where each curve breaks", columns, rows, "scores short") if knees else None
 
 
-def charts_of(curves: Sequence[Curve]) -> list[Picture]:
+def charts_of(curves: Sequence[Curve]) -> list[CurvePicture]:
     """The charts that show something: one for each score and place."""
     varied = [name for name in curves[0].place if len({str(curve.place[name]) for curve in curves}) > 1]
     groups: dict[tuple[str, str], list[Curve]] = {}
@@ -95,14 +95,14 @@ def charts_of(curves: Sequence[Curve]) -> list[Picture]:
         place = ", ".join(f"{name} {curve.place[name]}" for name in varied)
         groups.setdefault((curve.measure.key, place), []).append(curve)
     order = list(dict.fromkeys(place for _, place in groups))
-    found = list[Picture]()
+    found = list[CurvePicture]()
     for (key, place), members in sorted(groups.items(), key=lambda item: order.index(item[0][1])):
         if key == "registered" and not varies(members):
             continue  # cameras were given
         ending = f"-{slug}" if (slug := re.sub(r"[^A-Za-z0-9.]+", "-", place).strip("-").lower()) else ""
         label = members[0].measure.label
         file = _unused(f"light-{key}{ending}", [chart.file for chart in found])
-        found.append(Picture(f"{label}: {place}" if place else label, file, members))
+        found.append(CurvePicture(f"{label}: {place}" if place else label, file, members))
     return found
 
 
@@ -117,7 +117,7 @@ def varies(curves: Sequence[Curve]) -> bool:
     return len({value for curve in curves for level in curve.levels for value in level.values}) > 1
 
 
-def draw(picture: Picture, looks: Mapping[str, Row]) -> str:
+def draw(picture: CurvePicture, looks: Mapping[str, Row]) -> str:
     """Means over the light, from the worst to the best of the seeds, and a ring where a curve breaks."""
     lines = []
     for place, curve in enumerate(picture.curves):

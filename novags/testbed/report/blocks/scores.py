@@ -7,7 +7,7 @@ from markupsafe import Markup
 
 from novags.testbed.report.grid import SCALES, Line, main_column, shown_columns
 from novags.testbed.report.material import Material
-from novags.testbed.report.parts import Cell, Column, Page, Table, TableRow, num, text
+from novags.testbed.report.parts import Column, Page, Table, TableCell, TableRow, num, text
 from novags.testbed.report.place import MAIN, Place
 from novags.testbed.report.tables import KINDS, columns, digits, per_view
 from novags.testbed.report.verdict import table_of
@@ -70,7 +70,7 @@ def ranked_table(
         name, rank = row["method"], row["cells"][0]["rank"] or ("" if row["competes"] else "†")
         cells = [num(c["value"], digits(c["key"]), rank=c["rank"], best=c["best"]) for c in row["cells"]]
         cells += [num(values.get(name), said(values[name]) if name in values else "") for _, values, said in more]
-        cells = [text(rank, "rank"), Cell(named(place.rows[name])), *cells]
+        cells = [text(rank, "rank"), TableCell(named(place.rows[name])), *cells]
         rows.append(TableRow(cells, {"data-command": commands.get(name)}))
     name, against = LABELS.get(kind, (f"scores-{kind}", kind))
     shown += [column for column, *_ in more]
@@ -123,7 +123,7 @@ def _line(line: Line, material: Material, page: Page, axes: Sequence[str], colum
     look, view = material.looks[line.method], page.views.get((line.where, line.method))
     done, of = sum(row["state"] == "done" for row in line.runs), len(line.runs)
     commands = [found for each in line.runs if (found := material.commands.get(int(each["run"])))]
-    cells = [text(line.places.get(main) or ("" if look.competes else "†"), "rank"), Cell(named(look))]
+    cells = [text(line.places.get(main) or ("" if look.competes else "†"), "rank"), TableCell(named(look))]
     for value in (line.place[axis] for axis in axes):
         kind = "axis" if isinstance(value, int | float) else "where" if len(value) > LONG else ""
         cells.append(text(value, kind))
@@ -147,7 +147,7 @@ def _runs(material: Material, columns: Grid) -> Table:
     """Every run of a study by itself."""
     axes, rows = material.varied, list[TableRow]()
     for row in material.rows:
-        cells = [text(row["run"]), Cell(named(material.looks[row[METHOD]]))]
+        cells = [text(row["run"]), TableCell(named(material.looks[row[METHOD]]))]
         cells += [text(row[name]) for name in (*axes, "state")]
         for column, _, _, _, places in columns:
             value = row.get(column) if row["state"] == "done" else None

@@ -15,7 +15,7 @@ from novags.testbed.folders.exchanged import refuse_exchanged
 from novags.testbed.folders.imported import MISSING
 from novags.testbed.folders.references import LINEAR, true_depth
 from novags.testbed.folders.set import Source, open_source
-from novags.testbed.importing.pictures import Picture, find_renders, read_picture
+from novags.testbed.importing.pictures import ForeignPicture, find_renders, read_picture
 from novags.testbed.ledger.dry import NOT_DONE, planned
 from novags.testbed.metrics import missing, networks
 from novags.testbed.metrics.geometry import geometry_scores
@@ -167,7 +167,7 @@ def _gain(read: Callable[[int], Image], pictures: Callable[[], Any]) -> float:
     return exposure_gain(pairs)
 
 
-def _view(picture: Picture, truth: Image, gain: float | None, asked: Collection[str]) -> dict[str, Any]:
+def _view(picture: ForeignPicture, truth: Image, gain: float | None, asked: Collection[str]) -> dict[str, Any]:
     """Scores of one view; in linear light also those of the pictures that both would be shown as."""
     if gain is None:
         return dict(image_scores(picture.values, truth, asked))

@@ -37,7 +37,7 @@ class OutOfTime(Exception):
     """A trial took longer than it may."""
 
 
-class Stopwatch(Console):
+class StepClock(Console):
     """A silent console that notes when each step of each stage was done; `limit`: seconds it may take in all."""
 
     def __init__(self, limit: float) -> None:
@@ -107,7 +107,7 @@ def forecast(preset: Preset, limit: float, run: Run, tables: Sequence[Mapping[st
         OutOfTime: If it ends before anything is known of this machine's pace.
         ValueError: If the experiment cannot be done.
     """
-    small, start, watch = in_small(preset), time.perf_counter(), Stopwatch(limit)
+    small, start, watch = in_small(preset), time.perf_counter(), StepClock(limit)
     with scratch("budget") as folder:
         with suppress(OutOfTime):
             run(small, folder / "trial", watch)

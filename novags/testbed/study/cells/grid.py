@@ -115,7 +115,7 @@ def study_of(
         if both := {command.name for command in base.commands} & {variant.name for variant in variants}:
             raise ValueError(f"[method.{min(both)}]: a variant is called {min(both)} too: rename one of them")
     data = data or DataFolder()
-    reader = _Reader(path, base, variants, table.get("override", {}), table.get("rig", {}), ends, data)
+    reader = _KeyReader(path, base, variants, table.get("override", {}), table.get("rig", {}), ends, data)
     shared = reader.table(reader.override, "[override]")
     with at(path, "[grid] scene"):
         scenes = _listed(table.get("grid", {}).get("scene", []))
@@ -156,7 +156,7 @@ def refuse_unknown(table: Mapping[str, Any], known: tuple[str, ...], what: str) 
 
 
 @dataclass(frozen=True)
-class _Reader:
+class _KeyReader:
     """Keys of a file become changes of its preset."""
 
     path: Path

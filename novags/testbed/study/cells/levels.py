@@ -17,7 +17,7 @@ CHIPS = "-3chip"  # ends the name of a camera, and of a level, without a colour 
 
 
 @dataclass(frozen=True, kw_only=True)
-class Level:
+class LightLevel:
     """One light level.
 
     Attributes:
@@ -40,22 +40,22 @@ class Level:
 
 
 _MOSAIC = (
-    Level(
+    LightLevel(
         sensor="a7s2-iso1600", electrons=150.0, pictures="8bit",
         title="as LOM: moderately low light, little noise",
         source="LOM corresponds to moderately low-light scenes",
     ),
-    Level(
+    LightLevel(
         sensor="imx686-iso800", electrons=12.0, pictures="8bit",
         title="as LLNeRF: as bright as lom on the screen, with a twelfth of its electrons",
         source="LLNeRF represents low-light scenes with noise; moderately low-light behavior with additional noise",
     ),
-    Level(
+    LightLevel(
         sensor="a7s2-iso6400", electrons=2.0, pictures="8bit",
         title="as LLRS: near zero, noise as strong as the signal",
         source="LLRS is concentrated near zero with extreme noise",
     ),
-    Level(
+    LightLevel(
         sensor="d850-iso400", electrons=5.0, pictures="16bit",
         title="as MVTV: extremely dark, in the wide range of a camera for bright light",
         source="MVTV (16-bit) spans a wide dynamic range under extreme low-light conditions",
@@ -63,18 +63,20 @@ _MOSAIC = (
 )  # fmt: skip
 
 
-def _chips(level: Level) -> Level:
+def _chips(level: LightLevel) -> LightLevel:
     """The same with all three channels in every pixel: noise that is independent between pixels and channels."""
-    return Level(**(vars(level) | {"sensor": level.sensor + CHIPS, "title": f"{level.title}; without demosaicing"}))
+    return LightLevel(
+        **(vars(level) | {"sensor": level.sensor + CHIPS, "title": f"{level.title}; without demosaicing"})
+    )
 
 
-LEVELS: dict[str, Level] = {}
+LEVELS: dict[str, LightLevel] = {}
 for _name, _level in zip(("lom", "llnerf", "llrs", "mvtv"), _MOSAIC, strict=True):
     LEVELS |= {_name: _level, _name + CHIPS: _chips(_level)}
 assert all(level.sensor in PRESETS for level in LEVELS.values())
 
 
-def level_named(name: str) -> Level:
+def level_named(name: str) -> LightLevel:
     """A level by name.
 
     Raises:

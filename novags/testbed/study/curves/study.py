@@ -17,7 +17,7 @@ from novags.testbed.study.conduct import there
 from novags.testbed.study.curves.measuring import measurements_of
 from novags.testbed.study.knobs.measurement import MEASURED
 from novags.testbed.study.knobs.subjects import PARTS, chosen
-from novags.testbed.study.plan import Plan, plan_of
+from novags.testbed.study.plan import StudyPlan, plan_of
 from sensor_model.files.toml_file import read_toml
 
 STUDIES = Path(__file__).parent / "studies"
@@ -26,7 +26,7 @@ STUDIES = Path(__file__).parent / "studies"
 def plans(
     what: str, store: Path, console: Console, *, knobs: Sequence[str] = (), quick: bool = False,
     repeats: int | None = None,
-) -> list[Plan]:  # fmt: skip
+) -> list[StudyPlan]:  # fmt: skip
     """Measurements to make, and finished ones.
 
     Args:
@@ -48,12 +48,12 @@ def plans(
     return [plan.only(knobs, there(plan, store)) for plan in asked]
 
 
-def _with_kept(name: str, quick: bool, seeds: Sequence[int] | None, store: Path, console: Console) -> Plan:
+def _with_kept(name: str, quick: bool, seeds: Sequence[int] | None, store: Path, console: Console) -> StudyPlan:
     """The study of a subject, with stored measurements of further seeds."""
     file = STUDIES / f"{name if name in PARTS else 'method'}.toml"
     table = read_toml(file)
 
-    def planned(wanted: Sequence[int] | None) -> Plan:
+    def planned(wanted: Sequence[int] | None) -> StudyPlan:
         return plan_of(measurements_of(file, table, subject=name, quick=quick, seeds=wanted), store, console)
 
     plan = planned(seeds)
@@ -62,12 +62,12 @@ def _with_kept(name: str, quick: bool, seeds: Sequence[int] | None, store: Path,
     return plan
 
 
-def subject_of(plan: Plan) -> str:
+def subject_of(plan: StudyPlan) -> str:
     """The name of the subject."""
     return str(plan.study.table["measure"]["subject"])
 
 
-def told(plan: Plan, store: Path) -> Iterator[str]:
+def told(plan: StudyPlan, store: Path) -> Iterator[str]:
     """How many measurements of each knob are missing."""
     known, name = there(plan, store), subject_of(plan)
     for knob in plan.study.axes["knob"]:
@@ -78,7 +78,7 @@ def told(plan: Plan, store: Path) -> Iterator[str]:
             yield f"pareto {name}: {knob}: unchanged, kept {len(keys)} measurements"
 
 
-def again(plan: Plan, out: Path) -> str:
+def again(plan: StudyPlan, out: Path) -> str:
     """Why the measurements in the table in `out` are made again; "" if they are not."""
     rows = read_json(out / TABLE, ROWS)["rows"] if (out / TABLE).exists() else []
     before = {tuple(row.get(name) for name in plan.study.axes): row["folder"] for row in rows if row["state"] == "done"}

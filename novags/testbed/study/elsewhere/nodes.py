@@ -14,7 +14,7 @@ from novags.testbed.ledger.store import SEAL, Seal, read_seal
 from novags.testbed.study.elsewhere.remote import FETCHED, Damaged, Remote
 from novags.testbed.study.engines.worker import Outcome, function_at
 from novags.testbed.study.entry import Order, Task
-from novags.testbed.study.plan import Plan
+from novags.testbed.study.plan import StudyPlan
 from novags.testbed.study.steps import depends
 from sensor_model.files.atomic import atomic, write_text
 from sensor_model.files.door import read_bytes, read_text
@@ -104,7 +104,7 @@ def _fetched(order: Order, remote: Remote, console: Console) -> Seal | None:
         return None
 
 
-def known(plan: Plan, remote: Remote, folder: Path) -> dict[str, Outcome]:
+def known(plan: StudyPlan, remote: Remote, folder: Path) -> dict[str, Outcome]:
     """The complete entries of a study in its store; nothing but seals and scores is fetched.
 
     Args:

@@ -11,13 +11,13 @@ from novags.testbed.ledger.store import KINDS
 from novags.testbed.study.costs import Costs
 from novags.testbed.study.elsewhere import nodes
 from novags.testbed.study.engines.cluster import Cluster, Terms
-from novags.testbed.study.engines.local import MARGIN, Limits, Pool
+from novags.testbed.study.engines.local import MARGIN, Pool, PoolLimits
 from novags.testbed.study.engines.needs import Needs, resources
 from novags.testbed.study.engines.processes import TASKS, Worker, threads_environment, threads_of
 from novags.testbed.study.engines.queue import Watcher
 from novags.testbed.study.engines.worker import Outcome
 from novags.testbed.study.entry import Order, Task
-from novags.testbed.study.plan import Plan
+from novags.testbed.study.plan import StudyPlan
 from sensor_model.files import outside
 from sensor_model.files.atomic import write_text
 from sensor_model.files.door import read_text
@@ -39,7 +39,7 @@ class Work:
         known: How some tasks have ended before.
     """
 
-    plan: Plan
+    plan: StudyPlan
     out: Path
     store: Path
     costs: Costs
@@ -129,7 +129,7 @@ class OneMachine:
         def request(key: str, results: Mapping[str, Any]) -> dict[str, Any]:
             return {"task": work.order(key, results, self.cores), "log": work.log(work.plan.tasks[key])}
 
-        limits = Limits(self.places, memory=work.memory, seconds=work.seconds, order=work.longest.__getitem__)
+        limits = PoolLimits(self.places, memory=work.memory, seconds=work.seconds, order=work.longest.__getitem__)
         environment = threads_environment(self.cores)
         ahead = [worker for worker in self.ahead if worker.environment == environment]
         Pool(TASKS, request, limits, work.watcher, environment, ahead).run(work.plan.tasks.values(), work.known)

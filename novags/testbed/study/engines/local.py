@@ -17,7 +17,7 @@ MARGIN = 1.2  # times the predicted memory is kept free for a job
 
 
 @dataclass(frozen=True)
-class Limits:
+class PoolLimits:
     """What a pool may use, and its knowledge of jobs by their keys.
 
     Attributes:
@@ -48,7 +48,7 @@ class Pool:
 
     place: str
     request: Callable[[str, Mapping[str, Any]], Mapping[str, Any]]
-    limits: Limits
+    limits: PoolLimits
     watcher: Watcher
     environment: Mapping[str, str] = field(default_factory=dict)
     workers: list[Worker] = field(default_factory=list)

@@ -13,7 +13,7 @@ LARGEST = 1e100  # of a time or an error: their squares must be numbers too
 
 
 @dataclass(frozen=True)
-class Measured:
+class Reading:
     """One measurement of one setting.
 
     Attributes:
@@ -58,7 +58,7 @@ class Knob:
     unit: str
     of: str
     why: str
-    measure: Callable[[Setting, int, Path | None], Measured]
+    measure: Callable[[Setting, int, Path | None], Reading]
     shared: str | None = None
     option: str | None = None
     parts: tuple[str, ...] = ()

@@ -11,7 +11,7 @@ from novags.testbed.folders.capture import open_capture
 from novags.testbed.ledger.code import Code, code_of
 from novags.testbed.ledger.contents import jsonable, read_json
 from novags.testbed.ledger.stage import run_stage
-from novags.testbed.study.knobs.knob import Knob, Measured, Setting, Subject
+from novags.testbed.study.knobs.knob import Knob, Reading, Setting, Subject
 from novags.testbed.study.knobs.subjects import Sizes, subject_of
 
 MEASURED = "measured.json"
@@ -75,7 +75,7 @@ def measure(out: Path, config: Measurement, captured: Path | None, console: Cons
     )
 
 
-def read_measured(folder: Path) -> Measured:
+def read_measured(folder: Path) -> Reading:
     """The measurement in a folder.
 
     Raises:
@@ -83,6 +83,6 @@ def read_measured(folder: Path) -> Measured:
     """
     record: Mapping[str, Any] = read_json(folder / MEASURED, SHAPE)
     try:
-        return Measured(**{name: record[name] for name in SHAPE})
+        return Reading(**{name: record[name] for name in SHAPE})
     except ValueError as error:
         raise ValueError(f"{folder / MEASURED}: {error}; remove it to measure again") from error

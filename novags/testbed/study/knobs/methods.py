@@ -6,7 +6,7 @@ from typing import Any
 from novags.methods import METHODS, chosen
 from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
 from novags.testbed.study.knobs.knob import Subject
-from novags.testbed.study.knobs.reconstruction import SCENE, Bench
+from novags.testbed.study.knobs.reconstruction import SCENE, PresetBench
 
 PRESET = EXPERIMENTS["demo"]
 SIZES = ("views", "width", "height", "spp", "points", "iterations", "denoiser_steps")  # the preset's own if not given
@@ -21,7 +21,7 @@ def reconstruction(method: str, sizes: Mapping[str, int]) -> Subject:
     """The knobs of a method, turned in the demonstration at these sizes."""
     given: dict[str, Any] = {"n_views" if name == "views" else name: value for name, value in sizes.items()}
     base = adapted(PRESET, **given, methods=(measured_as(method),))
-    bench, render, config = Bench(base), base.render, base.reconstruct(base.methods[0])
+    bench, render, config = PresetBench(base), base.render, base.reconstruct(base.methods[0])
     parts = METHODS[method].parts
     workload = {
         "method": config.variant.name, "scene": f"{SCENE}:SEED", "views": render.n_views,

@@ -20,12 +20,12 @@ from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.folders.references import enhanced_truth, pictured
 from novags.testbed.ledger.contents import jsonable, read_json
 from novags.testbed.metrics.images import aligned_psnr
-from novags.testbed.stages.camera_source import Frame
+from novags.testbed.stages.camera_source import CoordinateFrame
 from novags.testbed.stages.configs.reconstructing import ReconstructConfig
-from novags.testbed.stages.reconstructing import Prepared, prepare
+from novags.testbed.stages.reconstructing import PreparedProblem, prepare
 from novags.testbed.study.cells.presets import Preset, adapted
 from novags.testbed.study.knobs.clock import Clock
-from novags.testbed.study.knobs.knob import Knob, Measured, Setting
+from novags.testbed.study.knobs.knob import Knob, Reading, Setting
 from novags.testbed.study.knobs.options import values
 from sensor_model.files.scratch import scratch
 
@@ -51,7 +51,7 @@ RESOLUTION = MethodKnob(
 
 
 @dataclass(frozen=True)
-class Bench:
+class PresetBench:
     """A preset with one method."""
 
     base: Preset
@@ -92,7 +92,7 @@ class Bench:
             settings = tuple(dict.fromkeys(max(1, round(value * share)) for share in row.shares))
         work = "a render and a reconstruction" if row.option in RENDERED else "a reconstruction"
 
-        def measured(setting: Setting, seed: int, captured: Path | None) -> Measured:
+        def measured(setting: Setting, seed: int, captured: Path | None) -> Reading:
             assert captured is not None
             return self.measure(row, setting, seed, captured)
 
@@ -101,7 +101,7 @@ class Bench:
             of=work, why=row.why, measure=measured, shared=work, option=row.option, parts=row.parts,
         )  # fmt: skip
 
-    def _warm(self, prepared: Prepared) -> None:
+    def _warm(self, prepared: PreparedProblem) -> None:
         """Train briefly, once per process, so that no measurement includes the loading of compiled code."""
         if not _WARM:
             _WARM.append(True)
@@ -123,7 +123,7 @@ class Bench:
             given = dict(turned_option(row.option, setting))
         return adapted(self.base, scene=f"{SCENE}:{seed}", seed=seed, **given)
 
-    def measure(self, row: MethodKnob, setting: Setting, seed: int, captured: Path) -> Measured:
+    def measure(self, row: MethodKnob, setting: Setting, seed: int, captured: Path) -> Reading:
         """One measurement; new renders for it count into its seconds. `captured`: with no knob turned."""
         preset, parts = self.preset(row, setting, seed), dict[str, float]()
         plain, rendering = open_capture(captured), (0.0, 0.0)
@@ -141,7 +141,7 @@ class Bench:
             self._warm(prepared)
             seconds, trained, result = timed(prepared, config)
             error = held_out_error(result, prepared, capture, truth)
-        return Measured(rendering[0] + seconds[0], rendering[1] + seconds[1], error, {**parts, **trained})
+        return Reading(rendering[0] + seconds[0], rendering[1] + seconds[1], error, {**parts, **trained})
 
 
 def iterated(config: ReconstructConfig) -> tuple[str, ...]:
@@ -167,7 +167,7 @@ def photographed(preset: Preset, folder: Path) -> Capture:
 
 
 def timed(
-    prepared: Prepared, config: ReconstructConfig
+    prepared: PreparedProblem, config: ReconstructConfig
 ) -> tuple[tuple[float, float], dict[str, float], Reconstruction]:
     """Train; (wall, processors), processor seconds of each part of the training, and the outcome."""
     method = METHODS[config.variant.method]
@@ -197,7 +197,7 @@ def parts_of(stamps: Mapping[int, float], parts: Mapping[str, int]) -> dict[str,
     return found
 
 
-def held_out_error(result: Reconstruction, prepared: Prepared, capture: Capture, truth: Capture) -> float:
+def held_out_error(result: Reconstruction, prepared: PreparedProblem, capture: Capture, truth: Capture) -> float:
     """Error of the held-out views at the size of `truth`: 10^(-mean aligned PSNR / 20), % of white.
 
     A splat is dilated by as much of the picture there as in training.
@@ -212,7 +212,7 @@ def held_out_error(result: Reconstruction, prepared: Prepared, capture: Capture,
     scene = result.scene
     if isinstance(scene, GaussianScene):
         scene = replace(scene, eps2d=scene.eps2d * scale**2)
-    frame = Frame.of(truth, prepared.indices, prepared.estimate, result.viewmats)
+    frame = CoordinateFrame.of(truth, prepared.indices, prepared.estimate, result.viewmats)
     found = []
     for i in truth.cameras.test_indices:
         rendered = scene.render(frame.view(i, prepared.device))[0][0].cpu().numpy().astype(np.float32)

@@ -3,7 +3,7 @@
 from functools import cache
 from pathlib import Path
 
-from novags.testbed.study.knobs.knob import Knob, Measured, Setting, Subject
+from novags.testbed.study.knobs.knob import Knob, Reading, Setting, Subject
 from simscenes.scenes import SCENES
 
 SCENE = "tabletop"
@@ -25,15 +25,15 @@ def render(size: int) -> Subject:
     from simscenes.job import curves
 
     @cache
-    def bench() -> curves.Bench:  # when the first measurement is due: it renders references
-        return curves.Bench(SCENE, size)
+    def bench() -> curves.SceneBench:  # when the first measurement is due: it renders references
+        return curves.SceneBench(SCENE, size)
 
     def knob(name: str) -> Knob:
         settings, default = curves.settings_of(name)
 
-        def measured(setting: Setting, seed: int, captured: Path | None) -> Measured:
+        def measured(setting: Setting, seed: int, captured: Path | None) -> Reading:
             found = bench().measure(name, setting, seed)
-            return Measured(found.seconds, found.cpu_seconds, found.error)
+            return Reading(found.seconds, found.cpu_seconds, found.error)
 
         alone = name in ("max_depth", "color")  # whose error is another one
         return Knob(

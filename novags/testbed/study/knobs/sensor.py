@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from novags.testbed.study.knobs.clock import fastest
-from novags.testbed.study.knobs.knob import Knob, Measured, Setting, Subject
+from novags.testbed.study.knobs.knob import Knob, Reading, Setting, Subject
 from sensor_model.capture import expose
 from sensor_model.isp import develop_linear
 from sensor_model.mosaicking import mosaic
@@ -34,11 +34,11 @@ def sensor(side: int) -> Subject:
     return Subject("sensor", workload, knobs, (__name__,))
 
 
-def _timed(take: Callable[[], Any], error: Callable[[Any], float], pixels: int) -> Measured:
+def _timed(take: Callable[[], Any], error: Callable[[Any], float], pixels: int) -> Reading:
     """Seconds per megapixel of `take`, and the error of its result."""
     found = error(take())
     wall, cpu = fastest(take, CALLS)
-    return Measured(wall / pixels * 1e6, cpu / pixels * 1e6, found)
+    return Reading(wall / pixels * 1e6, cpu / pixels * 1e6, found)
 
 
 def kolmogorov(a: Image, b: Image) -> float:
@@ -59,7 +59,7 @@ def _shot(level: float, side: int) -> Knob:
     """Normal for Poisson. Error: Kolmogorov distance of the codes to the codes of exact frames with other seeds."""
     light = np.full((side, side), level / PLAIN.eta)
 
-    def measured(shot: Any, seed: int) -> Measured:
+    def measured(shot: Any, seed: int) -> Reading:
         exact = expose(light, PLAIN, EXPOSURE, seed=OTHER + seed, view=0).dn
         return _timed(
             lambda: expose(light, PLAIN, EXPOSURE, seed=seed, view=0, shot=shot).dn,
@@ -79,7 +79,7 @@ def _light(side: int) -> Knob:
     """Width of the light that is read. Error against float64 light."""
     light = _random_light(side)
 
-    def measured(name: Any, seed: int) -> Measured:
+    def measured(name: Any, seed: int) -> Reading:
         exact, narrow = expose(light, PLAIN, EXPOSURE, seed=seed, view=0).dn.astype(int), light.astype(name)
         return _timed(
             lambda: expose(narrow, PLAIN, EXPOSURE, seed=seed, view=0).dn,
@@ -94,7 +94,7 @@ def _precision(side: int) -> Knob:
     """Width of the arithmetic. Error: share of the codes that differ from float64's, all by one."""
     light = _random_light(side)
 
-    def measured(precision: Any, seed: int) -> Measured:
+    def measured(precision: Any, seed: int) -> Reading:
         exact = expose(light, PLAIN, EXPOSURE, seed=seed, view=0).dn
         return _timed(
             lambda: expose(light, PLAIN, EXPOSURE, seed=seed, view=0, precision=precision).dn,
@@ -110,7 +110,7 @@ def _plan(side: int) -> Knob:
     camera = PRESETS[CAMERA]
     light = np.full((side, side), PLAN_LEVEL / camera.eta)
 
-    def measured(tolerance: Any, seed: int) -> Measured:
+    def measured(tolerance: Any, seed: int) -> Reading:
         whole = expose(light, camera, EXPOSURE, seed=seed, view=0).dn.std()
         plan = None if tolerance is None else plan_effects(camera, EXPOSURE, PLAN_LEVEL, tolerance)
         return _timed(
@@ -135,7 +135,7 @@ def _demosaic(side: int) -> Knob:
         seen = expose(mosaic(photons, "RGGB"), camera, EXPOSURE, seed=0, view=0).clean_dn
         return seen, develop_linear(expose(photons, chips, EXPOSURE, seed=0, view=0).clean_dn, chips)
 
-    def measured(method: Any, seed: int) -> Measured:
+    def measured(method: Any, seed: int) -> Reading:
         seen, truth = pair(seed)
 
         def error(found: Image) -> float:

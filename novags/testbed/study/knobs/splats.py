@@ -7,7 +7,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from novags.testbed.study.knobs.knob import Knob, Measured, Setting, Subject
+from novags.testbed.study.knobs.knob import Knob, Reading, Setting, Subject
 from sensor_model.files.atomic import atomic
 from sensor_model.files.door import read_bytes
 from sensor_model.files.own import cache_folder
@@ -43,7 +43,7 @@ def splats(n: int, size: int) -> Subject:
     def knob(name: str) -> Knob:
         settings, default, why = KNOBS[name]
 
-        def one(setting: Setting, seed: int, captured: Path | None) -> Measured:
+        def one(setting: Setting, seed: int, captured: Path | None) -> Reading:
             return measured(name, setting, n, size, seed)
 
         return Knob(
@@ -55,7 +55,7 @@ def splats(n: int, size: int) -> Subject:
     return Subject("splats", workload, tuple(knob(name) for name in KNOBS), (__name__, MODULE))
 
 
-def measured(knob: str, setting: Setting, n: int, size: int, seed: int) -> Measured:
+def measured(knob: str, setting: Setting, n: int, size: int, seed: int) -> Reading:
     """One setting, against the truth of this seed."""
     changed = knob in ("alpha_min", "transmittance_min", "exp2_degree", "tile") and setting != KNOBS[knob][1]
     code = f"{knob}-{setting:.3g}" if changed else "default"
@@ -65,7 +65,7 @@ def measured(knob: str, setting: Setting, n: int, size: int, seed: int) -> Measu
             temporary.write_bytes(truth(n, size, seed, supersampled=knob == "eps2d"))
         order = {"do": "measure", "knob": knob, "setting": setting, "changed": changed, "truth": str(file), "n": n,
                  "size": size, "seed": seed}  # fmt: skip
-        return Measured(**in_child(order, code))
+        return Reading(**in_child(order, code))
 
 
 @lru_cache(maxsize=2)  # all settings of a seed are measured after each other

@@ -8,7 +8,7 @@ import torch
 from numpy.typing import NDArray
 
 from novags.methods.averaging.scene import AveragedScene, _apart, average
-from novags.methods.averaging.surface import Camera, rays_of, same_depth, seen_together
+from novags.methods.averaging.surface import SurfaceCamera, rays_of, same_depth, seen_together
 from novags.methods.averaging.warp import Rules, _finest, _keys, _places, _steps, moved, warp
 from novags.splats import Views
 
@@ -59,10 +59,10 @@ class World:
         phase = self.frequency * place @ np.array([[1.0, 0.4, -0.6], [-0.5, 1.0, 0.8], [0.9, -0.7, 0.5]])
         return np.asarray(0.5 + 0.3 * np.sin(phase))
 
-    def camera(self, viewmat: Array) -> Camera:
+    def camera(self, viewmat: Array) -> SurfaceCamera:
         """The camera with its surface, from depth and normals at pixel centres as a rendered set has them."""
         depth, _, normal = self.hit(viewmat, _centres())
-        return Camera.of(viewmat, self.K, depth.astype(np.float32), normal.astype(np.float32))
+        return SurfaceCamera.of(viewmat, self.K, depth.astype(np.float32), normal.astype(np.float32))
 
     def picture(self, viewmat: Array) -> Array:
         """Linear light [HEIGHT, WIDTH, 3], averaged over each pixel; the background is black."""
@@ -94,7 +94,7 @@ def gathered(world: World, exposures: Array | None = None, variances: Array | No
     )  # fmt: skip
 
 
-def inner(camera: Camera) -> NDArray[np.bool_]:
+def inner(camera: SurfaceCamera) -> NDArray[np.bool_]:
     return (camera.whole & (camera.inverse_depth > 0)).ravel()
 
 
@@ -179,11 +179,11 @@ def test_what_a_view_does_not_see_does_not_leak() -> None:
 def test_less_than_half_of_the_kernel_on_the_surface_is_not_enough() -> None:
     """In the corner of a surface, two fifths of a pixel away from what shows it alone, a third of it is left."""
     depth, facing = np.full(SIZE, 2.0), np.broadcast_to([0.0, 0.0, -1.0], (*SIZE, 3))
-    target = Camera.of(np.eye(4), World.K, depth, facing)
+    target = SurfaceCamera.of(np.eye(4), World.K, depth, facing)
     corner = depth.copy()
     corner[8:], corner[:, 8:] = 5.0, 5.0
     moved = World.K + np.array([[0, 0, 0.45], [0, 0, 0.45], [0, 0, 0]])
-    source = Camera.of(np.eye(4), moved, corner, facing)
+    source = SurfaceCamera.of(np.eye(4), moved, corner, facing)
     rows = np.array(
         [6 * WIDTH + 6, 6 * WIDTH + 4, 4 * WIDTH + 6, 4 * WIDTH + 4]
     )  # of whole pixels up to row and column 6
@@ -216,7 +216,7 @@ def test_a_plane_seen_from_the_side_is_the_same_plane_in_every_pixel() -> None:
     cosine = -slope / np.linalg.norm(rays, axis=-1)
     assert cosine.max() < 0.15
     depth = np.where(slope < 0, -distance / slope, np.inf)
-    camera = Camera.of(np.eye(4), K, depth, np.broadcast_to(normal, (7, 8, 3)))
+    camera = SurfaceCamera.of(np.eye(4), K, depth, np.broadcast_to(normal, (7, 8, 3)))
     seen = cosine > 0.02
     assert seen.mean() > 0.3
     np.testing.assert_allclose(camera.planes[seen], np.broadcast_to(-normal / distance, camera.planes.shape)[seen])
@@ -225,7 +225,7 @@ def test_a_plane_seen_from_the_side_is_the_same_plane_in_every_pixel() -> None:
 def test_a_plane_along_the_ray_is_taken_as_facing_the_camera_at_its_depth() -> None:
     K = np.array([[40.0, 0, 16], [0, 37.0, 13], [0, 0, 1]])
     along = np.cross(rays_of(K, 5, 6), [0.0, 1.0, 0.0])
-    camera = Camera.of(np.eye(4), K, np.full((5, 6), 2.0), along / np.linalg.norm(along, axis=-1, keepdims=True))
+    camera = SurfaceCamera.of(np.eye(4), K, np.full((5, 6), 2.0), along / np.linalg.norm(along, axis=-1, keepdims=True))
     np.testing.assert_allclose(camera.planes, np.broadcast_to([0.0, 0.0, 0.5], (5, 6, 3)))
 
 
@@ -300,11 +300,11 @@ def test_the_enhancement_is_that_of_the_nearest_camera_whatever_the_unit_of_leng
 ) -> None:
     """One camera stands where the target does but is turned, the other looks alike, a quarter of the reach away."""
 
-    def camera(turn: float, place: float) -> Camera:
+    def camera(turn: float, place: float) -> SurfaceCamera:
         viewmat = np.eye(4)
         viewmat[:3, :3] = [[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]]
         viewmat[:3, 3] = -viewmat[:3, :3] @ [place * unit, 0, 0]
-        return Camera(viewmat, World.K, np.zeros((4, 4, 3)), 0.01)
+        return SurfaceCamera(viewmat, World.K, np.zeros((4, 4, 3)), 0.01)
 
     sources, target = [camera(turn, 0.0), camera(0.0, 1 / 3)], camera(0.0, 0.0)
     known = [*sources, target, camera(0.0, 1.0), camera(0.0, -4 / 3)]  # their mean is the target's place
@@ -348,7 +348,7 @@ def test_the_background_turns_with_the_camera_and_has_no_parallax() -> None:
     assert np.abs(found.mean - sky(turned).reshape(-1, 3))[judged].max() < 5e-3
 
 
-def inner_of_background(camera: Camera) -> NDArray[np.bool_]:
+def inner_of_background(camera: SurfaceCamera) -> NDArray[np.bool_]:
     return (camera.whole & (camera.inverse_depth == 0)).ravel()
 
 
@@ -365,5 +365,5 @@ def test_of_two_surfaces_that_fall_onto_one_pixel_the_nearer_is_seen() -> None:
     for y, x in ((0, 0), (1, 1), (2, 1)):
         depth = np.full((8, 8), 4.0)
         depth[y::4, x::4] = 2.0  # one in each of the large pixels
-        known = Camera.of(np.eye(4), K, depth, np.broadcast_to([0.0, 0.0, -1.0], (8, 8, 3)))
+        known = SurfaceCamera.of(np.eye(4), K, depth, np.broadcast_to([0.0, 0.0, -1.0], (8, 8, 3)))
         np.testing.assert_allclose(seen_together([known], np.eye(4), wide, 2, 2).inverse_depth, 1 / 2.0)

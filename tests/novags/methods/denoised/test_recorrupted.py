@@ -12,7 +12,7 @@ from novags.methods.denoised import recorrupted as module
 from novags.methods.denoised.anscombe import Anscombe
 from novags.methods.denoised.config import AdaptConfig
 from novags.methods.denoised.estimate import estimate, estimate_all
-from novags.methods.denoised.measured import Measured
+from novags.methods.denoised.measured import MeasuredPictures
 from novags.methods.denoised.network import Network, NetworkConfig
 from novags.methods.denoised.packing import mask_of, turned, turned_back
 from novags.methods.denoised.recorrupted import Adaptation, adapt, recorrupted
@@ -31,13 +31,13 @@ def curve(read_variance: float) -> Variance:
     return Variance(NoiseCurve(**three))
 
 
-def capture(mean: torch.Tensor, read_variance: float, cfa: Cfa | None) -> Measured:
+def capture(mean: torch.Tensor, read_variance: float, cfa: Cfa | None) -> MeasuredPictures:
     """Poisson-Gaussian electrons around means [C, 3, H, W]."""
     stream = torch.Generator().manual_seed(3)
     noise = math.sqrt(read_variance) * torch.randn(mean.shape, generator=stream)
     mask = mask_of(mean.shape[2:], cfa)
     one = torch.ones(3)
-    return Measured(
+    return MeasuredPictures(
         (torch.poisson(mean, generator=stream) + noise) * mask, mask, curve(read_variance), 0 * one, one, one, None
     )
 

@@ -11,7 +11,7 @@ import torch
 
 from novags.fields.box import box_of
 from novags.fields.field import first_field
-from novags.fields.layout import Layout
+from novags.fields.layout import FieldLayout
 from novags.fields.march import Proposal
 from novags.fields.training.config import FieldFitConfig
 from novags.methods.enhancers.applying import enhanced, enhanced_clean
@@ -27,13 +27,13 @@ from novags.methods.problem import Problem
 from novags.methods.start import brightened
 from novags.splats.views import Views
 
-QUICK = FieldFitConfig(iterations=90, rays=256, samples=12, rate=0.03, layout=Layout(finest=64, log2_rows=12))
+QUICK = FieldFitConfig(iterations=90, rays=256, samples=12, rate=0.03, layout=FieldLayout(finest=64, log2_rows=12))
 
 
 def some_scene(shading: str, numbers: dict[str, float]) -> FieldScene:
     rng = np.random.default_rng(0)
     static = 7 if shading in ("retinex", "product") else 0
-    field = first_field(Layout(finest=32, log2_rows=10, static=static, viewed=1 if static else 3), 0)
+    field = first_field(FieldLayout(finest=32, log2_rows=10, static=static, viewed=1 if static else 3), 0)
     field.table.uniform_(-1, 1, generator=torch.Generator().manual_seed(1))
     box = box_of(torch.tensor([[0.0, 0.0, -3.0]]), torch.from_numpy(rng.normal(size=(50, 3))))
     return FieldScene(field, box, Proposal(), 8, shading, numbers)

@@ -10,7 +10,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from novags.fields.layout import Layout
+from novags.fields.layout import FieldLayout
 from novags.fields.training.config import FieldFitConfig
 from novags.methods.inputs import LacksInput
 from novags.methods.nerf import aleth, i2, llnerf, raw
@@ -22,7 +22,13 @@ from novags.methods.problem import Problem
 
 DIM = 0.12  # what the fixture `problem` leaves of the light
 QUICK = FieldFitConfig(
-    iterations=220, rays=256, samples=12, rate=0.03, patch=2, near_scale=0.0, layout=Layout(finest=64, log2_rows=12)
+    iterations=220,
+    rays=256,
+    samples=12,
+    rate=0.03,
+    patch=2,
+    near_scale=0.0,
+    layout=FieldLayout(finest=64, log2_rows=12),
 )
 SeenDark = Callable[..., tuple[Problem, Tensor]]
 

@@ -12,7 +12,7 @@ from novags.methods.noise import Variance
 from novags.methods.nova_plus import bandwidth
 from novags.methods.nova_plus.average import REACH, averages, non_local_means
 from novags.methods.nova_plus.bandwidth import choose_bandwidth, errors_of_average
-from novags.methods.nova_plus.data import Exposures
+from novags.methods.nova_plus.data import LightMeasurements
 from novags.methods.tone import ToneCurve
 from sensor_model import NoiseCurve
 
@@ -89,7 +89,7 @@ def test_a_bandwidth_of_nothing_is_refused() -> None:
         averages(torch.zeros(1, 8, 8, 3), torch.zeros(1, 8, 8, 3), h=0.0, patch=1)
 
 
-def exposures_of(truth: np.ndarray, sigma: float, seed: int, views: int) -> Exposures:
+def exposures_of(truth: np.ndarray, sigma: float, seed: int, views: int) -> LightMeasurements:
     """Data of even noise."""
     noise = np.random.default_rng(seed).normal(0, sigma, (views, *truth.shape))
     light = torch.from_numpy(truth + noise).float()
@@ -98,7 +98,7 @@ def exposures_of(truth: np.ndarray, sigma: float, seed: int, views: int) -> Expo
         black=zero, white=(1.0,) * 3, offset=(sigma**2,) * 3, slope=zero, quadratic=zero, switch=never, step=zero
     )
     held = torch.zeros(light.shape[:3], dtype=torch.bool)
-    return Exposures(light=light, held=held, noise=Variance(curve), white=torch.full((3,), 10.0), matrix=None)
+    return LightMeasurements(light=light, held=held, noise=Variance(curve), white=torch.full((3,), 10.0), matrix=None)
 
 
 def texture(seed: int = 4, side: int = 48) -> np.ndarray:
@@ -154,7 +154,7 @@ def test_bias_and_variance_are_in_tone_and_of_noise_that_grows_with_the_light() 
     three = {name: (value,) * 3 for name, value in {
         "black": 0.0, "white": 1.0, "offset": offset, "slope": slope, "quadratic": 0.0, "switch": math.inf,
         "step": 0.0}.items()}  # fmt: skip
-    data = Exposures(
+    data = LightMeasurements(
         light=torch.from_numpy(light)[None].float(), held=torch.from_numpy(held)[None],
         noise=Variance(NoiseCurve(**three)), white=torch.full((3,), 10.0), matrix=None,
     )  # fmt: skip
@@ -198,7 +198,7 @@ def test_the_chosen_bandwidth_is_near_the_best_and_follows_the_noise() -> None:
         guide = torch.from_numpy(truth).float().expand(4, -1, -1, -1).contiguous()
         h, found = choose_bandwidth(guide, data, CURVE)
 
-        def risk(width: float, data: Exposures = data, guide: torch.Tensor = guide) -> float:
+        def risk(width: float, data: LightMeasurements = data, guide: torch.Tensor = guide) -> float:
             mean = averages(guide, data.light, h=width, patch=1).mean(data.light).double()
             variance = float(mean.var(0).mean())
             bias2 = float((mean.mean(0) - torch.from_numpy(truth)).square().mean()) - variance / 4

@@ -8,7 +8,7 @@ import torch
 
 from novags.methods.noise import Variance
 from novags.methods.nova_plus import trainer
-from novags.methods.nova_plus.data import Exposures
+from novags.methods.nova_plus.data import LightMeasurements
 from novags.methods.nova_plus.judge import Verdict, compare, mean_tone
 from novags.methods.nova_plus.merge import merged
 from novags.methods.tone import ToneCurve
@@ -18,7 +18,7 @@ from sensor_model import NoiseCurve
 CURVE = ToneCurve(top=1.0, k=3.0)
 
 
-def measured(truth: torch.Tensor, sigma: float, held_share: float, seed: int) -> Exposures:
+def measured(truth: torch.Tensor, sigma: float, held_share: float, seed: int) -> LightMeasurements:
     generator = torch.Generator().manual_seed(seed)
     light = CURVE.light(truth) + sigma * torch.randn(truth.shape, generator=generator)
     zero, never = (0.0,) * 3, (math.inf,) * 3
@@ -26,7 +26,7 @@ def measured(truth: torch.Tensor, sigma: float, held_share: float, seed: int) ->
         black=zero, white=(1.0,) * 3, offset=(sigma**2,) * 3, slope=zero, quadratic=zero, switch=never, step=zero
     )
     held = torch.rand(truth.shape[:3], generator=generator) < held_share
-    return Exposures(light=light, held=held, noise=Variance(noise), white=torch.full((3,), 9.0), matrix=None)
+    return LightMeasurements(light=light, held=held, noise=Variance(noise), white=torch.full((3,), 9.0), matrix=None)
 
 
 def test_the_excess_is_the_difference_of_the_true_errors_within_its_standard_error() -> None:
@@ -80,7 +80,7 @@ def test_data_that_fits_have_seen_have_no_say() -> None:
     data = measured(truth, 0.05, 0.3, seed=2)
     seen = data.light.clone()
     seen[~data.held] = 1e6
-    other = Exposures(light=seen, held=data.held, noise=data.noise, white=data.white, matrix=None)
+    other = LightMeasurements(light=seen, held=data.held, noise=data.noise, white=data.white, matrix=None)
     a, b = truth + 0.1, truth - 0.05
     even = torch.ones_like(truth)
     assert compare(a, b, other, CURVE, even) == compare(a, b, data, CURVE, even)

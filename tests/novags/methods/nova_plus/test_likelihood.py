@@ -11,7 +11,7 @@ import torch
 
 from novags.methods.inputs import LacksInput
 from novags.methods.noise import Variance, camera_noise
-from novags.methods.nova_plus.data import FULL, Exposures, exposures
+from novags.methods.nova_plus.data import FULL, LightMeasurements, exposures
 from novags.methods.nova_plus.likelihood import FLOOR, Likelihood
 from novags.methods.problem import Problem, RawPictures
 from novags.methods.tone import ToneCurve
@@ -187,7 +187,7 @@ def slow_loss(tones: np.ndarray, light: np.ndarray, curve: ToneCurve, variance: 
     return total / count
 
 
-def some_data() -> tuple[Exposures, torch.Tensor, torch.Tensor]:
+def some_data() -> tuple[LightMeasurements, torch.Tensor, torch.Tensor]:
     problem, _ = problem_of(PRESETS["a7s2-iso6400"])
     assert problem.noise is not None
     data = exposures(problem, problem.noise, 0.1)

@@ -11,7 +11,7 @@ import torch
 
 from novags.methods.noise import camera_noise
 from novags.methods.nova_plus.bandwidth import choose_bandwidth
-from novags.methods.nova_plus.data import Exposures, exposures
+from novags.methods.nova_plus.data import LightMeasurements, exposures
 from novags.methods.nova_plus.judge import compare
 from novags.methods.nova_plus.trainer import train
 from novags.methods.problem import Problem
@@ -24,7 +24,7 @@ SIDE, VIEWS, SENSOR, EXPOSURE = 96, 3, PRESETS["a7s2-iso6400"], Exposure(time=1 
 
 
 @pytest.fixture(scope="module")
-def menon() -> tuple[Exposures, ToneCurve, torch.Tensor, Problem]:
+def menon() -> tuple[LightMeasurements, ToneCurve, torch.Tensor, Problem]:
     """Smooth light behind a Bayer mosaic, interpolated by Menon, without raw frames; and its true tones."""
     y, x = np.mgrid[:SIDE, :SIDE] / 16.0
     photons = 0.25 * np.stack([30 + 14 * np.sin(x), 40 + 16 * np.sin(y), 34 + 12 * np.cos(x + y)], -1) / SENSOR.eta

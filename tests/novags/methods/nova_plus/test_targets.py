@@ -11,7 +11,7 @@ from novags.methods.denoised.denoiser import denoised
 from novags.methods.denoised.measured import measured
 from novags.methods.noise import Variance, camera_noise
 from novags.methods.nova_plus.average import averages
-from novags.methods.nova_plus.data import Exposures, exposures
+from novags.methods.nova_plus.data import LightMeasurements, exposures
 from novags.methods.nova_plus.targets import denoised_light, guided_light
 from novags.methods.problem import Problem, RawPictures
 from novags.methods.tone import ToneCurve
@@ -93,7 +93,7 @@ def test_guided_light_is_a_mixture_of_averages_and_guide_in_light() -> None:
     light = 0.5 + sigma * torch.randn(2, 24, 24, 3, generator=torch.Generator().manual_seed(0))
     held = torch.zeros(2, 24, 24, dtype=torch.bool)
     held[:, ::3] = True
-    data = Exposures(light=light, held=held, noise=Variance(noise), white=torch.full((3,), 10.0), matrix=None)
+    data = LightMeasurements(light=light, held=held, noise=Variance(noise), white=torch.full((3,), 10.0), matrix=None)
     guide = curve.tone(torch.full_like(light, 0.5))
     average = averages(guide, torch.where(held[..., None], torch.nan, light), h=0.05, patch=1).mean(curve.light(guide))
     found = guided_light(guide, data, curve, 0.05, 0.25)

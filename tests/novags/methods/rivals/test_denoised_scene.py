@@ -10,14 +10,14 @@ from safetensors.torch import load_file, save_file
 
 from novags.methods.gaussian_scene import GaussianScene
 from novags.methods.problem import Problem
-from novags.methods.rivals.denoised_scene import FILE, STAGES, DenoisedScene, Denoiser, with_denoiser
+from novags.methods.rivals.denoised_scene import FILE, STAGES, DenoisedScene, StagedDenoiser, with_denoiser
 from novags.splats import Gaussians, rasterize
 
 
-def trained(width: int = 5) -> Denoiser:
+def trained(width: int = 5) -> StagedDenoiser:
     """Networks that do something."""
     torch.manual_seed(3)
-    denoiser = Denoiser(width).requires_grad_(False)
+    denoiser = StagedDenoiser(width).requires_grad_(False)
     for parameter in denoiser.parameters():
         parameter.copy_(0.3 * torch.randn(parameter.shape))
     return denoiser
@@ -60,7 +60,7 @@ def test_the_noise_is_refined_stage_by_stage() -> None:
 
 def test_networks_change_nothing_before_they_have_learned() -> None:
     noise = torch.randn(5, 7, 3, generator=torch.Generator().manual_seed(1))
-    assert torch.equal(Denoiser(8)(noise), noise)
+    assert torch.equal(StagedDenoiser(8)(noise), noise)
 
 
 def test_the_refined_noise_is_taken_from_the_picture(problem: Callable[..., Problem]) -> None:

@@ -26,7 +26,7 @@ from novags.splats import Gaussians, Views, rasterize, write_ply  # noqa: E402
 from novags.testbed.console.terminal import Console  # noqa: E402
 from novags.testbed.flight import video  # noqa: E402
 from novags.testbed.flight.film import film  # noqa: E402
-from novags.testbed.flight.panels import BAR, Panel, frame  # noqa: E402
+from novags.testbed.flight.panels import BAR, CaptionedPicture, frame  # noqa: E402
 from novags.testbed.flight.path import distances, fly, paced, shorter_order  # noqa: E402
 from novags.testbed.folders.references import references  # noqa: E402
 from novags.testbed.folders.run import open_run  # noqa: E402
@@ -104,7 +104,7 @@ def test_cameras_that_stand_twice_at_a_place_do_not_stop_the_flight() -> None:
 
 def test_a_frame_holds_whole_pixels_and_is_even() -> None:
     image = np.random.default_rng(0).random((33, 25, 3)).astype(np.float32)
-    made = frame([Panel(image, "a", "b"), Panel(image[:, :11], "c", "long " * 40)])
+    made = frame([CaptionedPicture(image, "a", "b"), CaptionedPicture(image[:, :11], "c", "long " * 40)])
     assert made.shape == (330 + BAR, 250 + 8 + 110, 3)
     codes = np.round(255 * image).astype(np.uint8)
     assert (made[5:330:10, 5:250:10] == codes).all()
@@ -115,7 +115,9 @@ def test_a_frame_holds_whole_pixels_and_is_even() -> None:
 def test_pictures_too_large_for_a_film_are_shrunk_alike(tmp_path: Path, shape: tuple[int, ...]) -> None:
     """Rationale: three photographs of a telephone side by side were refused, as if OpenCV could not write .mp4."""
     rendered, truth = np.zeros(shape, np.float32), np.ones(shape, np.float32)
-    made = frame([Panel(rendered, "a", ""), Panel(truth, "b", ""), Panel(truth, "c", "")])
+    made = frame(
+        [CaptionedPicture(rendered, "a", ""), CaptionedPicture(truth, "b", ""), CaptionedPicture(truth, "c", "")]
+    )
     assert max(made.shape) <= 8190
     assert made.shape[0] % 2 == made.shape[1] % 2 == 0
     rows, columns = np.nonzero((made[:-BAR] == 0).all(-1))
@@ -249,7 +251,7 @@ def test_frames_show_the_gaussians_from_there_and_the_nearest_pictures(
     def kept(path: Path, fps: float, count: int) -> Iterator[Any]:
         yield type("Kept", (), {"add": lambda self, made: frames.append(made)})()
 
-    def noted(panels: list[Panel]) -> np.ndarray:
+    def noted(panels: list[CaptionedPicture]) -> np.ndarray:
         notes.append([panel.note for panel in panels])
         return frame(panels)
 

@@ -16,7 +16,7 @@ from novags.testbed import stages
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.stages import camera_source
-from novags.testbed.stages.camera_source import Frame, cameras_of
+from novags.testbed.stages.camera_source import CoordinateFrame, cameras_of
 from novags.testbed.stages.seen import SEEN
 from novags.testbed.stages.seen.raw import codes
 from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
@@ -59,7 +59,7 @@ def test_held_out_views_are_rendered_from_the_true_camera_in_the_methods_frame(r
     train = [1, 2, 3, 5, 6, 7]
     made = capture(rig, train)
     given = estimate(seen_from(rig.viewmats[train]), rig.Ks[train], tuple(range(6)))
-    frame = Frame.of(made, train, given, None)
+    frame = CoordinateFrame.of(made, train, given, None)
     g = torch.Generator().manual_seed(0)
     true = torch.rand(40, 3, generator=g, dtype=torch.float64) - 0.5
     colors = torch.rand(40, 3, generator=g)
@@ -88,14 +88,16 @@ def test_held_out_views_are_rendered_from_the_true_camera_in_the_methods_frame(r
 def test_training_views_are_rendered_from_the_methods_own_cameras(rig: Rig) -> None:
     train = [1, 2, 3, 5, 6, 7]
     refined = seen_from(rig.viewmats[train]).float()
-    frame = Frame.of(capture(rig, train), train, estimate(refined.double(), rig.Ks[train], tuple(range(6))), refined)
+    frame = CoordinateFrame.of(
+        capture(rig, train), train, estimate(refined.double(), rig.Ks[train], tuple(range(6))), refined
+    )
     assert torch.equal(frame.view(5, torch.device("cpu")).viewmats[0], refined[3])
 
 
 def test_views_without_a_camera_are_named(rig: Rig) -> None:
     train = [1, 2, 3, 5, 6, 7]
     given = estimate(torch.tensor(rig.viewmats[[1, 3, 7]], dtype=torch.float64), rig.Ks[[1, 3, 7]], (0, 2, 5))
-    facts = Frame.of(capture(rig, train), [1, 3, 7], given, None).facts()
+    facts = CoordinateFrame.of(capture(rig, train), [1, 3, 7], given, None).facts()
     assert facts["registered"] == ["0001", "0003", "0007"]
     assert facts["unregistered"] == ["0002", "0005", "0006"]
     assert facts["registered_share"] == 0.5
@@ -104,7 +106,7 @@ def test_views_without_a_camera_are_named(rig: Rig) -> None:
 def test_exact_cameras_stay_exact_to_the_bit(rig: Rig) -> None:
     train = [1, 2, 3, 5, 6, 7]
     given = estimate(torch.tensor(rig.viewmats[train], dtype=torch.float64), rig.Ks[train], tuple(range(6)))
-    frame = Frame.of(capture(rig, train), train, given, None)
+    frame = CoordinateFrame.of(capture(rig, train), train, given, None)
     for i in range(8):
         assert torch.equal(frame.view(i, torch.device("cpu")).viewmats[0], torch.tensor(rig.viewmats[i]).float())
 

@@ -65,7 +65,7 @@ def diary() -> Diary:
 @pytest.fixture
 def pool(fake: ModuleType, diary: Diary, tmp_path: Path) -> Callable[..., Any]:
     """Make a pool for a list of tasks, with entries in `tmp_path`."""
-    from novags.testbed.study.engines.local import Limits, Pool
+    from novags.testbed.study.engines.local import Pool, PoolLimits
     from novags.testbed.study.engines.processes import threads_environment
     from novags.testbed.study.entry import Order
 
@@ -79,6 +79,6 @@ def pool(fake: ModuleType, diary: Diary, tmp_path: Path) -> Callable[..., Any]:
             order = Order(task, task.folder(tmp_path), source, made_of, threads=1)
             return {"task": order, "log": str(tmp_path / "logs" / f"{key}.log")}
 
-        return Pool("fake_stages:make", request, Limits(workers, **limits), diary, threads_environment(1))
+        return Pool("fake_stages:make", request, PoolLimits(workers, **limits), diary, threads_environment(1))
 
     return make

@@ -11,7 +11,7 @@ from typing import Any
 from novags.testbed.console.terminal import Console
 from novags.testbed.ledger import contents, stage
 from novags.testbed.ledger.code import Code
-from novags.testbed.study.entry import Order, Step, Task, ensure
+from novags.testbed.study.entry import Order, StageStep, Task, ensure
 from sensor_model.files.atomic import write_text
 
 stage.environment = dict  # type: ignore[assignment]  # the real one loads torch to look for a GPU
@@ -28,7 +28,7 @@ class Made:
 
 
 def make(order: Order, console: Console) -> dict[str, Any]:
-    return ensure(order, {"write": Step(lambda: write(order, console), "made.json")}, console)
+    return ensure(order, {"write": StageStep(lambda: write(order, console), "made.json")}, console)
 
 
 def write(order: Order, console: Console) -> None:

@@ -10,7 +10,7 @@ import pytest
 from novags.testbed.console.terminal import Console
 from novags.testbed.stages.importing import material_of
 from novags.testbed.study.cells.grid import Study, read_study
-from novags.testbed.study.plan import Plan, plan_of
+from novags.testbed.study.plan import StudyPlan, plan_of
 from tests.miniatures import llnerf, llrs, lom, mvtv
 
 PAPER = Path(__file__).resolve().parents[4] / "docs" / "studies" / "paper.toml"
@@ -32,7 +32,7 @@ def read(tmp_path: Path, scene: str, data: Path | None, more: str = "") -> Study
     return read_study(file, data)
 
 
-def planned(study: Study, tmp_path: Path) -> Plan:
+def planned(study: Study, tmp_path: Path) -> StudyPlan:
     return plan_of(study, tmp_path / "store", QUIET)
 
 

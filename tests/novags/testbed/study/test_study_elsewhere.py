@@ -21,7 +21,7 @@ from novags.testbed.study.engines import node
 from novags.testbed.study.engines.needs import Needs, fits, read_needs, resources
 from novags.testbed.study.engines.worker import Outcome
 from novags.testbed.study.entry import Order
-from novags.testbed.study.plan import Plan
+from novags.testbed.study.plan import StudyPlan
 
 fsspec = pytest.importorskip("fsspec")
 QUIET = Console(quiet=True)
@@ -141,7 +141,7 @@ def test_a_study_knows_finished_entries_by_their_seals_alone(
     make: Callable[..., dict[str, Any]], tasks: list[Any], url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(elsewhere, "depends", lambda task: {})
-    plan = Plan(None, {task.key: task for task in tasks}, ())  # type: ignore[arg-type]
+    plan = StudyPlan(None, {task.key: task for task in tasks}, ())  # type: ignore[arg-type]
     here = tmp_path / "here"
     assert elsewhere.known(plan, Remote(url), here) == {}
     first = make("one", url)

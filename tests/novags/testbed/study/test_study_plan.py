@@ -19,7 +19,7 @@ from novags.testbed.study.cells.grid import read_study
 from novags.testbed.study.costs import Costs, default, longest_after, time_left
 from novags.testbed.study.engines.choice import OneMachine
 from novags.testbed.study.forecast import forecast
-from novags.testbed.study.plan import Plan, plan_of
+from novags.testbed.study.plan import StudyPlan, plan_of
 from novags.testbed.study.simulate import makespan
 from simscenes import orbit_rig
 from simscenes.sets.multiview import write_cameras
@@ -35,7 +35,7 @@ seed = [0, 1]
 """
 
 
-def plan(tmp_path: Path, text: str = GRID) -> Plan:
+def plan(tmp_path: Path, text: str = GRID) -> StudyPlan:
     (tmp_path / "study.toml").write_text(text)
     return plan_of(read_study(tmp_path / "study.toml"), tmp_path / "store", QUIET)
 

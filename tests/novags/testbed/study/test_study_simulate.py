@@ -10,7 +10,7 @@ from novags.testbed.study import simulate
 from novags.testbed.study.cells.grid import read_study
 from novags.testbed.study.costs import Cost
 from novags.testbed.study.engines.choice import OneMachine
-from novags.testbed.study.plan import Plan
+from novags.testbed.study.plan import StudyPlan
 from novags.testbed.study.simulate import at_least, makespan, simulated
 
 # a (3 s) -> c (2 s), d (4 s);  b (2 s) -> e (3 s);  f (1 s)
@@ -19,25 +19,25 @@ NEEDS = {"c": ("a",), "d": ("a",), "e": ("b",)}
 
 
 @pytest.fixture
-def plan(fake: ModuleType, tmp_path: Path) -> Plan:
+def plan(fake: ModuleType, tmp_path: Path) -> StudyPlan:
     (tmp_path / "study.toml").write_text("")
     tasks = {key: fake.task(key, *NEEDS.get(key, ())) for key in SECONDS}
-    return Plan(read_study(tmp_path / "study.toml"), tasks, ())
+    return StudyPlan(read_study(tmp_path / "study.toml"), tasks, ())
 
 
-def test_the_longest_chain_goes_first_and_each_task_as_soon_as_it_can(plan: Plan) -> None:
+def test_the_longest_chain_goes_first_and_each_task_as_soon_as_it_can(plan: StudyPlan) -> None:
     # Two places: a 0-3, b 0-2, e 2-5, d 3-7, c 5-7, f 7-8; the shortest first would take 9.
     assert [makespan(plan, SECONDS, places) for places in (1, 2, 3, 6)] == [15, 8, 7, 7]
 
 
-def test_no_schedule_is_shorter_than_the_work_shared_or_the_longest_chain(plan: Plan) -> None:
+def test_no_schedule_is_shorter_than_the_work_shared_or_the_longest_chain(plan: StudyPlan) -> None:
     assert [at_least(plan, SECONDS, places) for places in (1, 2, 3, 6)] == [15, 7.5, 7, 7]
     for places in range(1, 8):
         taken, bound = makespan(plan, SECONDS, places), at_least(plan, SECONDS, places)
         assert bound <= taken <= (2 - 1 / places) * bound  # Graham's bound, of list scheduling in any order
 
 
-def test_the_table_counts_node_hours_and_what_memory_holds(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_table_counts_node_hours_and_what_memory_holds(plan: StudyPlan, monkeypatch: pytest.MonkeyPatch) -> None:
     hours = {key: 3600 * value for key, value in SECONDS.items()}
 
     def table(memory: float, places: int) -> list[list[str]]:

@@ -15,7 +15,7 @@ from novags.testbed.ledger.store import SEAL, read_seal
 from novags.testbed.study.cells.grid import read_study
 from novags.testbed.study.conduct import FAILURES, read_failures
 from novags.testbed.study.entry import Order
-from novags.testbed.study.plan import Plan, plan_of
+from novags.testbed.study.plan import StudyPlan, plan_of
 from novags.testbed.study.session import describe, refuse_other
 
 QUIET = Console(quiet=True)
@@ -96,7 +96,7 @@ def test_a_clock_that_goes_back_changes_nothing(
     assert not made()["made"]
 
 
-def plan(tmp_path: Path, text: str) -> Plan:
+def plan(tmp_path: Path, text: str) -> StudyPlan:
     (tmp_path / "study.toml").write_text(text)
     return plan_of(read_study(tmp_path / "study.toml"), tmp_path / "store", QUIET)
 

@@ -12,7 +12,7 @@ from novags.testbed.study.budget.known import SHIPPED, open_options
 from novags.testbed.study.budget.trial import (
     CAUTION,
     OutOfTime,
-    Stopwatch,
+    StepClock,
     expected,
     in_small,
     pace_of,
@@ -113,10 +113,10 @@ def test_tables_foretell_methods_by_steps_pixels_and_gaussians() -> None:
 
 
 def test_a_trial_gives_up_at_its_limit() -> None:
-    watch = Stopwatch(-1.0)
+    watch = StepClock(-1.0)
     with pytest.raises(OutOfTime), watch.progress("render") as progress:
         progress(1, 9, "view 0000")
-    calm = Stopwatch(1e9)
+    calm = StepClock(1e9)
     with calm.progress("render") as progress:
         progress(1, 9, "view 0000")
         progress(3, 9, "view 0002")

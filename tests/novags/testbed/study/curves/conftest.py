@@ -13,8 +13,8 @@ from novags.testbed.study.curves import study
 from novags.testbed.study.curves.curve import curves
 from novags.testbed.study.engines.here import Here
 from novags.testbed.study.knobs import subjects
-from novags.testbed.study.knobs.knob import Knob, Measured, Setting, Subject
-from novags.testbed.study.plan import Plan
+from novags.testbed.study.knobs.knob import Knob, Reading, Setting, Subject
+from novags.testbed.study.plan import StudyPlan
 from novags.testbed.study.session import describe
 
 QUIET = Console(quiet=True)
@@ -32,7 +32,7 @@ class Made:
     fails: tuple[str, Setting] | None = None
     before: Callable[[], None] = lambda: None
 
-    def value(self, name: str, setting: Setting, seed: int) -> Measured:
+    def value(self, name: str, setting: Setting, seed: int) -> Reading:
         self.before()
         if len(self.asked) == self.stop_at:
             raise KeyboardInterrupt
@@ -40,7 +40,7 @@ class Made:
             raise ValueError("it does not go")
         self.asked.append((name, setting, seed))
         size = float(len(str(setting))) + 0.25 * seed
-        return Measured(size, 2 * size, 10.0 / (size + len(name)), {"fit": size, "denoiser": 1.0})
+        return Reading(size, 2 * size, 10.0 / (size + len(name)), {"fit": size, "denoiser": 1.0})
 
     def knob(self, name: str, settings: tuple[Setting, ...], default: Setting, shared: str | None) -> Knob:
         return Knob(
@@ -60,7 +60,7 @@ class Made:
     def store(self) -> Path:
         return self.folder / "store"
 
-    def plan(self, **more: Any) -> Plan:
+    def plan(self, **more: Any) -> StudyPlan:
         subjects.subject_of.cache_clear()
         (plan,) = study.plans("made", self.store, QUIET, **more)
         return plan
@@ -76,7 +76,7 @@ class Made:
         return curves(self.subject(8), self.measure(repeats=repeats))
 
     @staticmethod
-    def row(name: str, setting: Setting, seed: int, measured: Measured) -> dict[str, Any]:
+    def row(name: str, setting: Setting, seed: int, measured: Reading) -> dict[str, Any]:
         """A row of a table, as if it had been measured."""
         of_parts = {f"parts.{part}": value for part, value in measured.parts.items()}
         return {"state": "done", "knob": name, "setting": setting, "seed": seed, "seconds": measured.seconds,

@@ -14,7 +14,7 @@ from novags.testbed.report.curves import page
 from novags.testbed.report.curves.figure import DIAMOND, figure
 from novags.testbed.report.curves.table import said, tables
 from novags.testbed.study.curves.curve import curves, read_curves, write_curves
-from novags.testbed.study.knobs.knob import Knob, Measured, Subject
+from novags.testbed.study.knobs.knob import Knob, Reading, Subject
 
 CONTRACT = {"knob": str, "setting": (int, float, str, type(None)), "seconds": float, "error": float,
             "error_unit": str, "error_sd": float, "default": bool}  # fmt: skip
@@ -47,8 +47,8 @@ def test_points_are_medians_means_and_paired_decibels(made: Any, tmp_path: Path)
     for seed, (seconds, cpu, error, default) in enumerate(
         ((1.0, 5.0, 2.0, 1.0), (3.0, 6.0, 8.0, 2.0), (2.0, 9.0, 20.0, 2.0))
     ):
-        rows.append(made.row("lone", 1.5, seed, Measured(seconds, cpu, error, {"fit": cpu, "denoiser": 1.0})))
-        rows.append(made.row("lone", 22.75, seed, Measured(10.0, 20.0, default)))
+        rows.append(made.row("lone", 1.5, seed, Reading(seconds, cpu, error, {"fit": cpu, "denoiser": 1.0})))
+        rows.append(made.row("lone", 22.75, seed, Reading(10.0, 20.0, default)))
     fast, default = curves(subject, rows)
     assert (fast["seconds"], fast["cpu_seconds"], fast["error"], fast["parts"]) == (2.0, 6.0, 10.0, {"fit": 6.0})
     assert fast["error_sd"] == pytest.approx(math.sqrt((64 + 4 + 100) / 2))
@@ -61,7 +61,7 @@ def test_points_are_medians_means_and_paired_decibels(made: Any, tmp_path: Path)
 
 
 def test_an_error_of_nothing_has_no_decibels_and_one_repetition_no_spread(made: Any, tmp_path: Path) -> None:
-    rows = [made.row("lone", 1.5, 0, Measured(3.0, 3.0, 1.0)), made.row("lone", 22.75, 0, Measured(2.0, 2.0, 0.0))]
+    rows = [made.row("lone", 1.5, 0, Reading(3.0, 3.0, 1.0)), made.row("lone", 22.75, 0, Reading(2.0, 2.0, 0.0))]
     slow, default = curves(Subject("s", {}, (made.subject(8).knobs[2],)), rows)
     assert slow["db_lost"] is None
     assert slow["error_sd"] == 0.0
@@ -200,7 +200,7 @@ def test_a_unit_with_bars_leaves_the_table_its_columns(made: Any, tmp_path: Path
 def test_settings_must_differ_and_hold_the_default() -> None:
     def knob(settings: tuple[Any, ...]) -> Knob:
         return Knob(
-            name="k", settings=settings, default=2, unit="", of="", why="", measure=lambda s, i, c: Measured(0, 0, 0)
+            name="k", settings=settings, default=2, unit="", of="", why="", measure=lambda s, i, c: Reading(0, 0, 0)
         )
 
     assert knob((1, 2)).default == 2

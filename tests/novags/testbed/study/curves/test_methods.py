@@ -16,8 +16,8 @@ from novags.testbed.study.curves.curve import read_curves
 from novags.testbed.study.curves.measuring import measurements_of
 from novags.testbed.study.curves.study import STUDIES
 from novags.testbed.study.knobs import reconstruction
-from novags.testbed.study.knobs.knob import Knob, Measured, Setting, Subject
-from novags.testbed.study.knobs.reconstruction import Bench, parts_of
+from novags.testbed.study.knobs.knob import Knob, Reading, Setting, Subject
+from novags.testbed.study.knobs.reconstruction import PresetBench, parts_of
 from novags.testbed.study.knobs.subjects import chosen, subject_of, subjects
 from sensor_model.files.toml_file import read_toml
 
@@ -55,18 +55,18 @@ class Asked:
     configs: list[dict[str, Any]]
     seeds: list[tuple[str, int]]
 
-    def __call__(self, bench: Bench, row: MethodKnob, setting: Setting, seed: int, captured: Path) -> Measured:
+    def __call__(self, bench: PresetBench, row: MethodKnob, setting: Setting, seed: int, captured: Path) -> Reading:
         preset = bench.preset(row, setting, seed)
         config = preset.reconstruct(preset.methods[0])
         self.configs.append({**flattened(config.config), "points": config.points, "width": preset.render.width})
         self.seeds.append((preset.render.scene, preset.capture.seed))
-        return Measured(1.0, 1.0, 1.0)
+        return Reading(1.0, 1.0, 1.0)
 
 
 @pytest.fixture
 def asked(monkeypatch: pytest.MonkeyPatch) -> Asked:
     found = Asked([], [])
-    monkeypatch.setattr(Bench, "measure", lambda *given: found(*given))
+    monkeypatch.setattr(PresetBench, "measure", lambda *given: found(*given))
     return found
 
 
