@@ -108,7 +108,7 @@ DUMMY = Method(
 def test_a_method_without_gaussians_goes_through_the_whole_experiment(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, space: str, kinds: set[str]
 ) -> None:
-    """Rationale: only `ReconstructedScene` and `Reconstruction` may be assumed; a field on a grid, or a mesh, is as good."""
+    """Rationale: only `ReconstructedScene` and `Reconstruction` may be assumed; a grid or a mesh is as good."""
     monkeypatch.setitem(METHODS, "constant", replace(DUMMY, config=lambda: ConstantConfig(space=space)))
     preset = adapted(EXPERIMENTS["demo"], **TINY, methods=("constant", "naive", "oracle"))
     page = run(preset, tmp_path, QUIET, report=write_report).read_text(encoding="utf-8")
