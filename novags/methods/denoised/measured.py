@@ -25,24 +25,20 @@ class MeasuredPictures:
         electrons: [C, 3, H, W] float32, 0 = black, not clipped; 0 where nothing was measured.
         mask: [1, 3, H, W], 1 where a channel was measured.
         noise: Variance of the data as the source states it, for means [..., 3].
-        black: [3], of the data.
-        slope: [3], data per electron.
-        to_linear: [3], linear light per electron, before the matrix.
+        unit: [3], linear light per electron, before the matrix.
         matrix: [3, 3], or None: the colour matrix of the linear pictures.
     """
 
     electrons: Tensor
     mask: Tensor
     noise: Variance
-    black: Tensor
-    slope: Tensor
-    to_linear: Tensor
+    unit: Tensor
     matrix: Tensor | None
 
     @property
     def read_variance(self) -> Tensor:
         """[3], electrons**2."""
-        return self.electrons.new_tensor(self.noise.curve.offset) / self.slope**2
+        return self.electrons.new_tensor(self.noise.curve.offset) / self.unit**2
 
     def to(self, device: torch.device | str) -> "MeasuredPictures":
         """The same on another device."""
@@ -52,14 +48,14 @@ class MeasuredPictures:
     def variance(self, mean: Tensor) -> Tensor:
         """Variance of every channel at these means, both [..., 3, H, W] in electrons."""
         last = mean.movedim(-3, -1)
-        return (self.noise(last * self.slope + self.black) / self.slope**2).movedim(-1, -3)
+        return (self.noise(last * self.unit) / self.unit**2).movedim(-1, -3)
 
     def linear(self, electrons: Tensor) -> Tensor:
         """Electrons [C, 3, H, W] -> linear light [C, H, W, 3] in the unit of `Problem.linear16`.
 
         Not clipped, but for values above 1 before a colour matrix: development clips there too.
         """
-        light = electrons.movedim(1, -1) * self.to_linear
+        light = electrons.movedim(1, -1) * self.unit
         return light if self.matrix is None else light.clamp_max(1.0) @ self.matrix.T
 
 
@@ -96,13 +92,13 @@ def in_electrons(data: MeasuredLight) -> MeasuredPictures:
             f"shared through {' and '.join(data.shared)}: take a method that works on the pictures alone"
         )
     curve, like = data.noise.curve, data.light
-    offset, slope, black = (like.new_tensor(values) for values in (curve.offset, curve.slope, curve.black))
+    offset, slope = (like.new_tensor(values) for values in (curve.offset, curve.slope))
     if not bool(((offset > 0) | (slope > 0)).all()) or bool((offset < 0).any()):
         raise LacksInput(
             f"denoising needs a variance > 0 in every channel, got {tuple(curve.offset)} at black and a slope of "
             f"{tuple(curve.slope)}: data without noise need no denoiser"
         )
     unit = torch.maximum(slope, (offset / STRAIGHT).sqrt())
-    electrons = ((like - black) / unit).nan_to_num(0.0).movedim(-1, 1).contiguous()
+    electrons = (like / unit).nan_to_num(0.0).movedim(-1, 1).contiguous()
     mask = data.measured[:1].movedim(-1, 1).to(like)
-    return MeasuredPictures(electrons, mask, data.noise, black, unit, unit, data.matrix)
+    return MeasuredPictures(electrons, mask, data.noise, unit, data.matrix)

@@ -94,7 +94,7 @@ def _kept(
 
 def _identity(pictures: MeasuredPictures, config: DenoiseConfig, seed: int) -> Tensor:
     """Hash of everything that the denoised pictures depend on, uint8."""
-    content = digest(pictures.electrons, pictures.mask, pictures.read_variance, pictures.to_linear)
+    content = digest(pictures.electrons, pictures.mask, pictures.read_variance, pictures.unit)
     weights = hashlib.blake2b(read_bytes(PACKAGED)).hexdigest()
     settings = json.dumps([dataclasses.asdict(config), seed])
     run = hashlib.blake2b((content + weights + settings).encode(), digest_size=16)

@@ -140,7 +140,7 @@ def adaptation_in_the_dark(setting: Setting) -> float:
     one, dark, network = torch.ones(3), torch.zeros(2, 3, 16, 16), load_weights()
     nn.init.zeros_(network.leave.weight)  # an estimate of exactly 0, whose variance is exactly 0
     nn.init.zeros_(network.leave.bias)
-    pictures = MeasuredPictures(dark, mask_of((16, 16), None), _curve(0.0, 1.0), 0 * one, one, one, None)
+    pictures = MeasuredPictures(dark, mask_of((16, 16), None), _curve(0.0, 1.0), one, None)
     loss = Adaptation(network, pictures, AdaptConfig(batch=2, crop=16), seed=0).loss()
     loss.backward()
     slopes = [p.grad for p in network.parameters() if p.grad is not None]

@@ -57,7 +57,7 @@ def test_raw_frames_of_three_chips_give_the_linear_pictures_back(matrix: list[li
 def test_what_exceeds_white_is_cut_before_the_colour_matrix_and_what_is_below_black_is_not() -> None:
     pictures = measured(problem(PRESETS["a7s2-iso6400-3chip"], matrix=MATRIX))
     light = torch.tensor([2.0, 0.5, -0.1])
-    electrons = (light / pictures.to_linear)[None, :, None, None]
+    electrons = (light / pictures.unit)[None, :, None, None]
     want = [row[0] * 1.0 + row[1] * 0.5 + row[2] * -0.1 for row in MATRIX]
     assert pictures.linear(electrons)[0, 0, 0].tolist() == pytest.approx(want, rel=1e-5)
 

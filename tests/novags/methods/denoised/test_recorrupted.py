@@ -38,7 +38,7 @@ def capture(mean: torch.Tensor, read_variance: float, cfa: Cfa | None) -> Measur
     mask = mask_of(mean.shape[2:], cfa)
     one = torch.ones(3)
     return MeasuredPictures(
-        (torch.poisson(mean, generator=stream) + noise) * mask, mask, curve(read_variance), 0 * one, one, one, None
+        (torch.poisson(mean, generator=stream) + noise) * mask, mask, curve(read_variance), one, None
     )
 
 
