@@ -17,6 +17,8 @@ ENVIRONMENT = {
     # On busy cores MKL sums small products of matrices in an order that changes from call to call, unless told not to:
     # the last bits of a network's gradients, and of resumed fits of small pictures, would change.
     "MKL_CBWR": "AUTO",
+    # colour-science warns of plots that it cannot draw without matplotlib; nobody asks it to.
+    "COLOUR_SCIENCE__FILTER_USAGE_WARNINGS": "True",
 }  # read by these libraries when they are loaded or first used
 # Each iteration of a fit frees its arrays, and the next one asks for the same again. glibc returns them to the system
 # in between, which hands them out again page by page and filled with zeros: a third of the time of a fit whose loss is

@@ -4,6 +4,8 @@ import html
 import json
 import math
 import re
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
@@ -167,3 +169,57 @@ def test_linear_ticks_are_round_and_reach_the_end(largest: float) -> None:
     assert 3 <= len(found) <= 7
     assert found[0] == 0
     assert 0.7 * largest <= found[-1] <= largest * (1 + 1e-9)
+
+
+def test_curves_show_their_values_to_pointer_and_keys(visit: Callable[..., Any], experiment: Path, psnr: dict) -> None:
+    tab = visit(experiment / "report.html")
+    chart = tab.locator("section[aria-labelledby=training] svg.chart")
+    chart.focus()
+    for _ in range(2):
+        chart.press("ArrowRight")
+    note = tab.locator("section[aria-labelledby=training] .plot-note")
+    assert note.locator("strong").text_content() == "2 iteration"
+    lines = {text.split()[0]: float(text.split()[1]) for text in note.locator("div").all_text_contents()}
+    assert lines == {name: pytest.approx(value / 4, rel=1e-3) for name, value in psnr.items()}
+    assert chart.locator(".plot-point").count() == len(psnr)
+    box, rule = chart.bounding_box(), chart.locator(".plot-rule").bounding_box()
+    assert box["height"] / 2 < rule["height"] < box["height"]
+    tab.mouse.move(box["x"] + box["width"] * 0.97, box["y"] + 30)
+    assert note.locator("strong").text_content() == "5 iteration"
+    tab.mouse.move(0, 0)
+    assert not note.is_visible()
+
+
+def test_a_line_without_a_point_near_the_pointer_is_not_told(visit: Callable[..., Any], experiment: Path) -> None:
+    tab = visit(experiment / "report.html")
+    chart = tab.locator("section[aria-labelledby=training] svg.chart")
+    told = """(chart, x) => {
+        const lines = [["<a>", 100], ["b", 200], ["c", 106]].map(
+            ([name, x], k) => ({name, key: `m${k}`, points: [[x, 50, "1", "2"]]}));
+        novags.plots.show(chart, {x: "u", top: 34, floor: 200, step: 8, lines: [...lines, {name: "d", points: []}]}, x);
+        return [...chart.nextElementSibling.querySelectorAll("div")].map(row => row.textContent);
+    }"""
+    assert chart.evaluate(told, 90) == ["<a> 2", "c 2"]
+    assert chart.evaluate(told, 190) == ["b 2"]
+
+
+@pytest.mark.parametrize("width", [390, 1300])
+def test_no_two_texts_of_a_chart_overlap_and_none_leaves_it(
+    visit: Callable[..., Any], experiment: Path, width: int
+) -> None:
+    """Rationale: "57.6%" was cut to ".6%" on a telephone, under the name of its axis."""
+    tab = visit(experiment / "report.html", width=width)
+    found = tab.eval_on_selector_all(
+        "svg.chart",
+        """charts => charts.map(chart => {
+            const box = chart.getBoundingClientRect(), texts = [...chart.querySelectorAll("text")];
+            const boxes = texts.map(text => [text.textContent, text.getBoundingClientRect()]);
+            const beyond = boxes.filter(([, b]) => b.left < box.left - 1 || b.right > box.right + 1).map(([t]) => t);
+            const over = boxes.flatMap(([t, a], i) => boxes.slice(i + 1).filter(([, b]) => a.left < b.right - 1 &&
+                b.left < a.right - 1 && a.top < b.bottom - 2 && b.top < a.bottom - 2).map(([u]) => [t, u]));
+            return {texts: texts.length, beyond, over};
+        })""",
+    )
+    assert len(found) >= 2
+    assert all(chart["texts"] > 5 for chart in found)
+    assert [(chart["beyond"], chart["over"]) for chart in found] == [([], [])] * len(found)
