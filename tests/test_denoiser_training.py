@@ -112,7 +112,7 @@ def test_a_training_is_continued_with_the_same_settings_alone(tmp_path: Path, mo
     for more, message in (
         (
             "--seed 6",
-            "seed must equal the training that is continued, 5, got 6: restore it, or delete .*checkpoint",
+            "seed must be as in the continued training, 5, got 6: restore it, or delete .*checkpoint",
         ),
         ("--crop 18", "crop must be .* 16, got 18"),
         ("--batch 2", "batch must be .* 1, got 2"),

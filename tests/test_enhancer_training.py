@@ -89,7 +89,7 @@ def test_a_crop_larger_than_a_picture_is_refused_by_size() -> None:
 @pytest.mark.parametrize(
     ("network", "more", "message"),
     [
-        ("uretinex", "", "network must equal the training that is continued, mbllen, got uretinex"),
+        ("uretinex", "", "network must be as in the continued training, mbllen, got uretinex"),
         ("mbllen", "--seed 1", "seed must be .* 0, got 1: restore it, or delete .*checkpoint"),
         ("mbllen", "--crop 18", "crop must be .* 16, got 18"),
         ("mbllen", "--batch 2", "batch must be .* 1, got 2"),

@@ -104,7 +104,7 @@ class Training:
         remedy = f"restore it, or delete {path} to start over"
         for name, value in self.settings.items():
             if (before := then.get(name, "not stated")) != value:
-                raise ValueError(f"{name} must equal the training that is continued, {before}, got {value}: {remedy}")
+                raise ValueError(f"{name} must be as in the continued training, {before}, got {value}: {remedy}")
         planned = Schedule(steps=then["steps"], rate=then["rate"])
         if any(planned.at(step) != self.schedule.at(step) for step in range(done)):
             raise ValueError(
