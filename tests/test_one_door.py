@@ -40,6 +40,8 @@ EXCEPTIONS = {
     ("novags/testbed/study/engines/cluster.py", "os.open"): "the working directory, to return to it",
     ("sensor_model/fast/kernels.py", "path.read_bytes"): OWN,
     ("novags/splats/cpu/compiler.py", "path.read_bytes"): OWN,
+    ("novags/commands/new.py", "(Path(__file__).with_name('answers') / 'new' / f'{kind}.txt').read_text"): OWN,
+    ("novags/testbed/report/charts.py", "STYLE.read_text"): OWN,
     ("novags/commands/answers/topics.py", "(_folder() / f'{topic}.txt').read_text"): OWN,
     ("novags/testbed/report/page.py", "(files('novags.testbed.report') / name).read_text"): OWN,
     ("novags/testbed/ledger/code.py", "path.read_bytes"): f"{OWN}, and of modules that are loaded already",

@@ -161,6 +161,7 @@ MAKES_NOTHING = {
     "plan": "prints what would be simulated",
     "view": "shows runs until it is stopped",
     "doctor": "prints what works here",
+    "new": "writes one small file, and none over another",
 }
 
 

@@ -107,7 +107,8 @@ def exchange(file: Path) -> None:
         text = before.decode()
         number = re.search(r"(?<=[\s:])\d+\.\d\d+", text) or re.search(r"\d+", text)
         assert number is not None
-        at = number.end() - 1
+        # The first digit behind the point: of 17 digits the last may not change the number.
+        at = number.start() + number[0].index(".") + 1 if "." in number[0] else number.end() - 1
         file.write_text(f"{text[:at]}{(int(text[at]) + 1) % 10}{text[at + 1 :]}")
     else:
         middle = len(before) // 2

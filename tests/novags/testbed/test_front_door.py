@@ -9,9 +9,11 @@ from novags.cameras import SOURCES
 from novags.commands.answers.catalogue import LISTS, first_sentence, listing
 from novags.commands.answers.topics import page, topics
 from novags.methods import METHODS, VARIANTS
+from novags.methods.enhancers import ENHANCERS
 from novags.testbed.console import devices
 from novags.testbed.console.devices import chosen_device
 from novags.testbed.console.terminal import Console
+from novags.testbed.metrics import METRICS
 from novags.testbed.study.cells.levels import LEVELS
 from novags.testbed.study.cells.presets import EXPERIMENTS
 from sensor_model import PRESETS as SENSORS
@@ -20,7 +22,7 @@ from simscenes import SCENES
 QUIET = Console(quiet=True)
 NAMES = {
     "scenes": SCENES, "sensors": SENSORS, "methods": {**METHODS, **VARIANTS}, "levels": LEVELS,
-    "presets": EXPERIMENTS, "cameras": SOURCES,
+    "presets": EXPERIMENTS, "cameras": SOURCES, "enhancers": ENHANCERS, "metrics": METRICS,
 }  # fmt: skip
 
 
@@ -37,7 +39,8 @@ def test_a_list_names_everything_with_a_few_words(what: str) -> None:
 def test_all_lists_are_one_page() -> None:
     assert listing() == "\n\n".join(listing(what) for what in LISTS)
     with pytest.raises(
-        ValueError, match="no list of 'lenses'; available: scenes, sensors, methods, levels, presets, cameras"
+        ValueError,
+        match="no list of 'lenses'; available: scenes, sensors, methods, levels, presets, cameras, enh",
     ):
         listing("lenses")
 

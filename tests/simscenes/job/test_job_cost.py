@@ -65,7 +65,7 @@ def test_even_samples_are_predicted_from_a_part_of_a_view(
             found.append((spp, part))
             return spp / 8
 
-    monkeypatch.setattr(cost, "View", Fresh)
+    monkeypatch.setattr(cost, "RenderedView", Fresh)
     predicted = predict_seconds("any", RIG, dict.fromkeys(numbers), spp, None)  # type: ignore[arg-type]
     assert predicted == pytest.approx(len(numbers) * spp / 8)
     assert found == [(spp, pytest.approx(len(numbers) / 64))]
@@ -140,7 +140,7 @@ def test_versions_and_memory_are_those_of_this_process() -> None:
 def job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., RenderJob]:
     """A job of four views whose second one is there already; nothing is rendered."""
     monkeypatch.setattr(views, "using_variant", lambda *a: nullcontext())
-    monkeypatch.setattr(views, "View", lambda method, rig, i: SimpleNamespace(i=i))
+    monkeypatch.setattr(views, "RenderedView", lambda method, rig, i: SimpleNamespace(i=i))
     monkeypatch.setattr(views, "predict_seconds", lambda *a: 300.0)
     done = {"spp": 8, "relativeError": 0.25, "fireflies": 2, QUARTERS: [0.5] * 4}
     monkeypatch.setattr(views, "_rendered_before", lambda job, i, path, key: done if i == 1 else None)

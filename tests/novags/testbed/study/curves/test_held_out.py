@@ -19,7 +19,7 @@ def test_a_splat_is_dilated_by_as_much_of_the_picture_at_the_full_size(monkeypat
 
     frame = SimpleNamespace(of=lambda *given: SimpleNamespace(view=lambda i, device: None))
     monkeypatch.setattr(GaussianScene, "render", render)
-    monkeypatch.setattr(reconstruction, "Frame", frame)
+    monkeypatch.setattr(reconstruction, "CoordinateFrame", frame)
     monkeypatch.setattr(reconstruction, "pictured", lambda run, capture, rendered: rendered)
     monkeypatch.setattr(reconstruction, "enhanced_truth", lambda *given: None)
     monkeypatch.setattr(reconstruction, "aligned_psnr", lambda *given: 20.0)
