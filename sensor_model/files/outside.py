@@ -134,6 +134,11 @@ def add_file(path: Path) -> None:
     _load(path, read_bytes(path))
 
 
+def files() -> list[Path]:
+    """The files that were added."""
+    return [path for path, _, _ in _files.values()]
+
+
 def _load(path: Path, content: bytes) -> None:
     module = f"novags_plugin_{re.sub('[^A-Za-z0-9_]', '_', path.stem)}"
     if module in _files:

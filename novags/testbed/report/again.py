@@ -14,10 +14,19 @@ from novags.testbed.folders.run import Run
 from novags.testbed.ledger.contents import jsonable
 from novags.testbed.stages.configs.reconstructing import ReconstructConfig
 from novags.testbed.study.cells.presets import EXPERIMENTS, Preset
+from sensor_model.files import outside
 from sensor_model.files.door import resolved
 
 PRESET = "demo"  # what `novags reconstruct` starts from
-PATHS = ("--scene", "--photos", "--sensor", "--variant", "--curves")  # options whose value may name a file or folder
+# Options whose value may name a file or folder.
+PATHS = ("--scene", "--photos", "--sensor", "--variant", "--curves", "--plugin")
+    "--scene",
+    "--photos",
+    "--sensor",
+    "--variant",
+    "--curves",
+    "--plugin",
+)  # options whose value may name a file or folder
 DROPPED = {"--out": 1, "--wait": 0, "--overwrite": 0}  # options, and their values, that are about the first time
 SHORT = {"fit.iterations": "--iterations", "denoiser.warmup_steps": "--denoiser-steps"}
 AGAIN = "again"  # the folder that a repeated result goes to
@@ -76,13 +85,23 @@ def run_again(run: Run, folder: Path, name: str | None = None) -> str | None:
     cameras = _moved(str(asked["cameras"]), "--cameras", folder)
     words += ["--points", str(asked["points"]), "--seed", str(asked["seed"])]
     words += [] if cameras == "known" else ["--cameras", cameras]
+    words += _plugins(run.record["stage"].get("versions", {}), folder)
     return shlex.join([*words, "--out", _place(name or run.name)])
 
 
 def score_again(run: Run, folder: Path, name: str | None = None) -> str | None:
     """The commands that reconstruct and score as `run` was, when they are run in `folder`; rest as for `run_again`."""
     command = run_again(run, folder, name)
-    return None if command is None else f"{command} && {shlex.join(['novags', 'score', _place(name or run.name)])}"
+    if command is None:
+        return None
+    plugins = _plugins((run.metrics() or {}).get("stage", {}).get("versions", {}), folder)
+    return f"{command} && {shlex.join(['novags', 'score', _place(name or run.name), *plugins])}"
+
+
+def _plugins(versions: Mapping[str, str], folder: Path) -> list[str]:
+    """The options that name the files of this command line that a result was made with."""
+    used = [file for file in outside.files() if file.name in versions]
+    return [word for file in used for word in ("--plugin", _path(str(file), folder))]
 
 
 def _place(name: str) -> str:

@@ -52,6 +52,9 @@ def test_files_of_all_kinds_work_together(tmp_path: Path) -> None:
     assert scored["stage"]["versions"]["my-metric.py"]
     assert 0 < scored["methods"]["my-method"]["mean"]["lit"]["my-metric"] < 1
     assert "lit.my-metric" in (tmp_path / "out" / "results.csv").read_text().splitlines()[0]
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert re.search(r"novags reconstruct capture [^&]*--plugin \.\./my-method\.py", page)
+    assert "novags score my-method-again --plugin ../my-metric.py" in page
     assert ">MAE<" in (tmp_path / "out" / "report.html").read_text()
     assert len(read_study(tmp_path / "my-study.toml").cells) == 18
 
