@@ -20,13 +20,6 @@ from sensor_model.files.door import resolved
 PRESET = "demo"  # what `novags reconstruct` starts from
 # Options whose value may name a file or folder.
 PATHS = ("--scene", "--photos", "--sensor", "--variant", "--curves", "--plugin")
-    "--scene",
-    "--photos",
-    "--sensor",
-    "--variant",
-    "--curves",
-    "--plugin",
-)  # options whose value may name a file or folder
 DROPPED = {"--out": 1, "--wait": 0, "--overwrite": 0}  # options, and their values, that are about the first time
 SHORT = {"fit.iterations": "--iterations", "denoiser.warmup_steps": "--denoiser-steps"}
 AGAIN = "again"  # the folder that a repeated result goes to
