@@ -18,7 +18,9 @@ def changed(body: str) -> dict[str, set[str]]:
     """The mutated right-hand sides of `return <body>` in a function of some arguments, by kind."""
     from mutation.mutants import mutants
 
-    source = f"def f(height, width, source, target, camera_t, camera_s, view, x, y, q):\n    return {body}\n"
+    source = (
+        f"def f(height, width, source, target, camera_t, camera_s, view, x, y, q, dark, bright):\n    return {body}\n"
+    )
     out: dict[str, set[str]] = {}
     for mutant in mutants(source):
         text = ast.unparse(ast.parse(mutant.apply(source)).body[0].body[0])  # type: ignore[attr-defined]
@@ -64,6 +66,14 @@ def changed(body: str) -> dict[str, set[str]]:
         ("q.detach()", "gradient", {"q"}),
         ("pad(q, mode='reflect')", "mode", {"pad(q, mode='replicate')"}),
         ("pad(q, centred=True)", "option", {"pad(q, centred=False)"}),
+        ("digest(q, view)", "identity", {"digest(q)", "digest(view)"}),
+        ("digest({'a': q, 'b': view})", "identity", {"digest({'a': q})", "digest({'b': view})"}),
+        ("key_of([q, view], x)", "identity", {"key_of([q], x)", "key_of([view], x)", "key_of([q, view])", "key_of(x)"}),
+        ("draw(seed=q.seed)", "seed", {"draw(seed=0)"}),
+        ("draw(q.seed)", "seed", {"draw(0)"}),
+        ("[q for q in views]", "only the first", {"[q for q in views[:1]]"}),
+        ("q @ q.matrix.T", "colour matrix", {"q"}),
+        ("dark + bright", "axes", {"bright + bright", "dark + dark"}),
     ],
 )
 def test_a_rule_yields_the_mistakes_of_its_kind(body, kind, mutants):

@@ -82,7 +82,7 @@ def _statements(body: list[ast.stmt], place: _Place) -> Iterator[tuple[str, Any,
                     yield from _expression(test, _head(at, test))
                 yield from _statements(inside + otherwise, place)
             case ast.For(iter=over) | ast.While(test=over):
-                yield from _expression(over, _head(at, over))
+                yield from _expression(over, _head(at, over), "loop" if isinstance(node, ast.For) else "")
                 yield from _statements(node.body + node.orelse, place)
             case ast.With():
                 for item in node.items:
@@ -159,7 +159,7 @@ def _children(node: ast.expr, role: str) -> Iterator[tuple[ast.expr, str]]:
         case _:
             for child in ast.iter_child_nodes(node):
                 if isinstance(child, ast.comprehension):
-                    yield child.iter, ""
+                    yield child.iter, "loop"
                     yield from ((condition, "") for condition in child.ifs)
                 elif isinstance(child, ast.expr):
                     yield child, ""

@@ -13,6 +13,8 @@ PAIRS = (
     ("enhanced", "denoised"), ("enhanced", "clean"), ("prediction", "noisy"), ("origin", "goal"),
     ("camera_t", "camera_s"), ("depth_t", "depth_s"), ("alpha_t", "alpha_s"), ("mx", "my"), ("xx", "yy"),
     ("near", "far"), ("first", "last"), ("start", "stop"), ("forward", "up"), ("mean", "variance"), ("a", "b"),
+    ("dark", "bright"), ("darkest", "brightest"), ("black", "white"), ("given", "refined"), ("known", "estimated"),
+    ("viewmats", "refined"),
 )  # fmt: skip
 PARTNERS = {name: [b if a == name else a for a, b in PAIRS if name in (a, b)] for pair in PAIRS for name in pair}
 VIEW_PAIRS = {"source", "target", "warped", "camera_t", "camera_s", "depth_t", "depth_s", "origin", "goal"}
@@ -32,6 +34,14 @@ DROPPED = {
 }  # fmt: skip
 MODES = {"reflect": "replicate", "replicate": "reflect", "border": "zeros", "bilinear": "bicubic", "edge": "reflect"}
 FLIPS = {ast.Lt: ast.Gt, ast.Gt: ast.Lt, ast.LtE: ast.GtE, ast.GtE: ast.LtE, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq}
+IDENTITIES = {
+    "digest",
+    "key_of",
+    "identity",
+    "fingerprint",
+    "content_of",
+    "job_digest",
+}  # functions whose parts all count
 HARMLESS_OPTIONS = {
     "keepdim", "keepdims", "strict", "exist_ok", "missing_ok", "parents", "copy", "sort_keys", "frozen", "kw_only",
     "set_to_none", "enabled",
@@ -43,9 +53,10 @@ def changes(node: ast.expr, role: str, names: frozenset[str]) -> Iterator[Change
 
     Args:
         node: The expression.
-        role: Its role there: "axis", "index", "slice", "exponent", "callee", "argument", "option NAME" or "".
+        role: Its role there: "axis", "index", "slice", "exponent", "callee", "argument", "loop", "option NAME" or "".
         names: Names that the function knows: only those can be mixed up.
     """
+    yield from _carelessness(node, role)
     match node:
         case ast.BinOp():
             yield from _arithmetic(node)
@@ -78,6 +89,38 @@ def changes(node: ast.expr, role: str, names: frozenset[str]) -> Iterator[Change
                     yield "wrong view" if name in VIEW_PAIRS else "axes", ast.Name(id=partner)
             if role in ("argument", "index") and name in VIEW_INDICES:
                 yield "wrong view", _number(0)
+
+
+def _carelessness(node: ast.expr, role: str) -> Iterator[Change]:
+    """Mistakes that small tests hide: of one view, of gain 1, of the identity as colour matrix, of one seed."""
+    match node:
+        case ast.Call(func=func, args=args) if name_of(func) in IDENTITIES:
+            for i in range(len(args) if len(args) > 1 else 0):
+                left = [*args[:i], *args[i + 1 :]]
+                yield "identity", ast.Call(func=func, args=left, keywords=node.keywords)
+            for i, arg in enumerate(args):
+                for part in _without_an_entry(arg):
+                    yield (
+                        "identity",
+                        ast.Call(func=func, args=[*args[:i], part, *args[i + 1 :]], keywords=node.keywords),
+                    )
+        case ast.Name() | ast.Attribute() if role == "option seed" or (role == "argument" and name_of(node) == "seed"):
+            yield "seed", _number(0)
+        case ast.Name() | ast.Attribute() if role == "loop" and name_of(node).endswith("s"):
+            yield "only the first", ast.Subscript(value=node, slice=ast.Slice(upper=_number(1)))
+        case ast.BinOp(left=left, op=ast.MatMult(), right=right) if "matrix" in ast.unparse(right):
+            yield "colour matrix", left
+
+
+def _without_an_entry(node: ast.expr) -> Iterator[ast.expr]:
+    """A dictionary, a list or a tuple of several parts, without one of them."""
+    match node:
+        case ast.Dict(keys=keys, values=values) if len(keys) > 1:
+            for i in range(len(keys)):
+                yield ast.Dict(keys=[*keys[:i], *keys[i + 1 :]], values=[*values[:i], *values[i + 1 :]])
+        case ast.List(elts=parts) | ast.Tuple(elts=parts) if len(parts) > 1:
+            for i in range(len(parts)):
+                yield type(node)(elts=[*parts[:i], *parts[i + 1 :]], ctx=ast.Load())
 
 
 def _arithmetic(node: ast.BinOp) -> Iterator[Change]:
