@@ -27,7 +27,7 @@ PARTS = {"likelihood": 10, "structure": 10, "merged": 2}  # each fit, in 24ths o
 
 @dataclass(frozen=True, kw_only=True)
 class NovaPlusConfig:
-    """All choices. Settings that are None follow a rule from the data.
+    """All choices. A setting of None follows a rule from the data.
 
     Attributes:
         fit: Of both stages, each from the first points. They take 10 24ths of `fit.iterations` each (`PARTS`), for each

@@ -45,7 +45,7 @@ PHOTOGRAPHS: Registry[Callable[..., Any]] = Registry({
 def for_photographs() -> tuple[str, ...]:
     """The modules that photographs need and no rendered set.
 
-    Results made from photographs depend on them; whoever corrects them keeps all results of rendered sets.
+    Results of photographs depend on them, and results of rendered sets do not: a correction keeps the latter.
     """
     tables: tuple[Registry[Any], ...] = (PHOTOGRAPHS, READERS)
     return tuple(module for table in tables for name in table if (module := table.module_of(name)))

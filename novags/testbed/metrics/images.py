@@ -28,8 +28,8 @@ Scores = TypeVar("Scores")  # a TypedDict of numbers or None
 ImageScores = dict[str, float | None]
 """Scores of one image against one reference, by the names of `METRICS`.
 
-A score by a network is None where it was not asked for. The aligned scores are taken over the channels in which the
-reference has contrast (`with_contrast`), and are None where no channel has any.
+A score by a network that was not requested is None. Aligned scores count only channels of the reference with contrast
+(`with_contrast`); without such a channel they are None.
 """
 
 
