@@ -52,8 +52,8 @@ def run(
 
     Args:
         preset: Source of every setting that is not given here.
-        scene: A scene of the catalogue ("tabletop", or "tabletop:3" for its variation 3), a Mitsuba .xml file, or a set
-            folder: one of novags, nerfstudio, instant-ngp, NeRF-synthetic, COLMAP or LLFF.
+        scene: A scene of the catalogue ("tabletop", or "tabletop:3" for its variation 3), a Mitsuba .xml or glTF file,
+            or a set folder: one of novags, nerfstudio, instant-ngp, NeRF-synthetic, COLMAP or LLFF.
         photos: Instead of a scene: a folder of photographs without poses, or a video file; the poses are found first.
         fps: Frames to take from each second of the video; 2 if not given.
         define: The value of a parameter of a Mitsuba file, NAME=VALUE; may be given several times.

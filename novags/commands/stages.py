@@ -17,7 +17,7 @@ def plan(
     """Show which effects would be simulated, which not, why, and the bound on the error of leaving them out.
 
     Args:
-        scene: A multiview set folder, a scene of the catalogue, or a Mitsuba .xml file.
+        scene: A multiview set folder, a scene of the catalogue, or a Mitsuba .xml or glTF file.
         sensor: A camera of sensor_model.PRESETS, or a TOML file of your own.
         electrons: Mean signal of the green channel over the set, electrons per pixel and exposure.
         time: Exposure time in seconds; only the dark current depends on it.
@@ -56,7 +56,8 @@ def render(
     """Render a scene into a ground-truth multiview set.
 
     Args:
-        scene: A scene of the catalogue ("tabletop", or "tabletop:3" for its variation 3), or a Mitsuba .xml file.
+        scene: A scene of the catalogue ("tabletop", or "tabletop:3" for its variation 3), or a Mitsuba .xml or glTF
+            file.
         out: Folder of the set.
         views: Number of views.
         width: Image width in pixels.

@@ -8,6 +8,7 @@ import re
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from sensor_model.files.door import read_bytes, resolved
@@ -21,6 +22,8 @@ from simscenes.loading.checks.untrusted import check_plugin, check_xml, searchin
 from simscenes.loading.checks.usable import raw_color, why_unusable
 from simscenes.loading.contents import parameters_in, unique_materials
 from simscenes.loading.digest import content_digest
+from simscenes.loading.gltf.describe import described
+from simscenes.loading.gltf.document import read_document
 from simscenes.loading.integrator import OwnIntegrator, in_dict, in_file, own_integrator
 from simscenes.loading.naming import shape_names
 from simscenes.loading.obj_files import completed
@@ -79,7 +82,7 @@ def build_scene(scene: SceneLike | SceneRef, mi: Any, *, allow_outside: bool = F
 
     Args:
         scene: A name from `SCENES`, optionally with a scene seed ("tabletop:3"); a Mitsuba scene dict; or the path of a
-            Mitsuba XML file (anything ending in .xml).
+            Mitsuba XML or a glTF file (anything ending in .xml, .gltf or .glb).
         mi: The mitsuba module, from `activate`.
         allow_outside: Let an XML file read files outside its own folder.
 
@@ -89,9 +92,17 @@ def build_scene(scene: SceneLike | SceneRef, mi: Any, *, allow_outside: bool = F
     """
     source = SceneRef.of(scene)
     if source.path is not None:
-        files = check_xml(source.path, allow_outside=allow_outside, parameters=source.parameters)
+        files = _files_of(source, allow_outside)
         check_survives(source.path, files, mi.variant(), source.parameters, allow_outside=allow_outside)
     return load_here(source, mi, allow_outside=allow_outside)
+
+
+def _files_of(source: SceneRef, allow_outside: bool) -> tuple[Path, ...]:
+    """The files of a scene, checked."""
+    assert source.path is not None
+    if source.is_gltf:
+        return read_document(source.path, allow_outside=allow_outside).files
+    return check_xml(source.path, allow_outside=allow_outside, parameters=source.parameters)
 
 
 def build_in_fewest_colors(scene: SceneLike | SceneRef, backend: str, *, allow_outside: bool = False) -> LoadedScene:
@@ -174,6 +185,8 @@ def _hint(said: str, source: SceneRef) -> str:
 
 
 def _own_integrator(source: SceneRef, mi: Any, allow_outside: bool) -> OwnIntegrator | None:
+    if source.is_gltf:
+        return None
     if source.path is None:
         return None if source.description is None else own_integrator(in_dict(source.description))
     path, config = resolved(source.path), mi.parser.ParserConfig(mi.variant())
@@ -183,6 +196,10 @@ def _own_integrator(source: SceneRef, mi: Any, allow_outside: bool) -> OwnIntegr
 
 def _load(source: SceneRef, mi: Any, allow_outside: bool) -> tuple[Any, Any]:
     """The Mitsuba scene, and its source: files or a dict."""
+    if source.is_gltf and source.path is not None:
+        document = read_document(source.path, allow_outside=allow_outside)
+        with TemporaryDirectory(prefix="novags-gltf-") as folder:  # meshes; Mitsuba reads them now
+            return mi.load_dict(described(document, Path(folder), mi), optimize=False), document.files
     if source.path is not None:
         return _load_xml(source.path, dict(source.parameters), mi, allow_outside)
     return _load_dict(build(source.name) if source.description is None else source.description, mi)

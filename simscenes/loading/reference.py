@@ -1,4 +1,4 @@
-"""Which scene is meant: a catalogue name, a Mitsuba dict or an XML file. The one place that tells them apart."""
+"""Which scene is meant: of the catalogue, a Mitsuba dict, or a file. The one place that tells them apart."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ from simscenes.scenes import split_name
 
 NAME = re.compile("[A-Za-z_][A-Za-z0-9_.-]{0,99}")  # of a parameter
 SceneLike = str | dict[str, Any] | Path
+GLTF = (".gltf", ".glb")
+FILES = (".xml", *GLTF)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,7 +23,7 @@ class SceneRef:
     Attributes:
         kind: "catalogue", "file" or "dict".
         name: Catalogue name with its seed ("tabletop:3"), stem of the file, or "custom".
-        path: The Mitsuba XML file, or None.
+        path: The file, or None.
         description: The Mitsuba dict, or None.
         parameters: Values of a file's $names, (name, value), instead of its <default>s.
         sensor: Which of the scene's own sensors counts, from 0.
@@ -36,7 +38,7 @@ class SceneRef:
 
     @classmethod
     def of(cls, scene: SceneLike | SceneRef) -> SceneRef:
-        """The scene behind a name from `SCENES` ("tabletop:3" for variation 3), a dict, a path or a text in .xml.
+        """The scene behind a name from `SCENES` ("tabletop:3" for variation 3), a dict, a path or a text in `FILES`.
 
         Raises:
             ValueError: If a name is not in the catalogue, or the scene is neither a name, a dict nor a file. Files
@@ -44,7 +46,7 @@ class SceneRef:
         """
         if isinstance(scene, SceneRef):
             return scene
-        if isinstance(scene, Path) or (isinstance(scene, str) and scene.endswith(".xml")):
+        if isinstance(scene, Path) or (isinstance(scene, str) and is_scene_file(scene)):
             return cls(kind="file", name=Path(scene).stem, path=Path(scene))
         if isinstance(scene, str):
             split_name(scene)
@@ -52,7 +54,8 @@ class SceneRef:
         if isinstance(scene, dict) and scene.get("type") == "scene":
             return cls(kind="dict", name="custom", description=scene)
         raise ValueError(
-            f"scene must be a name from SCENES, a .xml file or a Mitsuba dict of type 'scene', got {scene!r:.80}"
+            f"scene must be a name from SCENES, a .xml, .gltf or .glb file or a Mitsuba dict of type 'scene', got "
+            f"{scene!r:.80}"
         )
 
     def given(self, parameters: Sequence[str] = (), sensor: int = 0) -> SceneRef:
@@ -71,6 +74,8 @@ class SceneRef:
             raise ValueError(f"parameters of a scene must be given once, got {', '.join(twice)} several times")
         if (pairs or sensor) and self.in_catalogue:
             raise ValueError(f"scene {self.name!r} is of the catalogue: parameters and sensors belong to Mitsuba files")
+        if pairs and self.path is not None and self.is_gltf:
+            raise ValueError(f"scene {self.name!r} is a glTF file, which has no parameters")
         if sensor < 0:
             raise ValueError(f"the number of a sensor must be >= 0, got {sensor}")
         return replace(self, parameters=tuple((name, value) for name, _, value in pairs), sensor=sensor)
@@ -79,3 +84,13 @@ class SceneRef:
     def in_catalogue(self) -> bool:
         """Whether it is a catalogue scene, which has a default rig; others are seen from around their own sensor."""
         return self.kind == "catalogue"
+
+    @property
+    def is_gltf(self) -> bool:
+        """Whether it is a glTF file."""
+        return self.path is not None and self.path.suffix in GLTF
+
+
+def is_scene_file(text: str) -> bool:
+    """Whether a text names a scene file, by its ending."""
+    return text.endswith(FILES)

@@ -42,7 +42,7 @@ def split_name(name: str) -> tuple[str, int]:
     if scene not in SCENES:
         raise ValueError(
             f"no scene {brief(repr(name), 100)} in the catalogue{_what_it_is(name)}; available: {sorted(SCENES)}. "
-            "Mitsuba files end in .xml"
+            "scene files end in .xml, .gltf or .glb"
         )
     if seed and not (seed.isdecimal() and len(seed) <= DIGITS):
         raise ValueError(f"the seed in scene name {brief(repr(name), 100)} must be a whole number >= 0 of at most "

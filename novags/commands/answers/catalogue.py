@@ -40,6 +40,7 @@ def scenes() -> str:
     rows = [(name, f"{first_sentence(scene.text)}{_from(SCENES, name)}") for name, scene in SCENES.items()]
     rows.append(("NAME:SEED", "a variation of a scene, such as tabletop:3"))
     rows.append(("FILE.xml", "any Mitsuba 3 scene"))
+    rows.append(("FILE.glb", "any glTF 2.0 scene, also .gltf"))
     pictures = Path(__file__).resolve().parents[3] / "docs" / "scenes.png"
     return table(rows) + (f"\n  pictures of them: {pictures}" if pictures.exists() else "")
 

@@ -6,6 +6,7 @@ from typing import Any
 
 from novags.testbed.dataset.file import SPLITS, DatasetConfig
 from novags.testbed.dataset.publish import DatasetEntry
+from simscenes.loading.reference import is_scene_file
 
 # Textures of scene files may be photographs.
 CATALOGUE_ONLY = "Everything is rendered: no photograph is part of it, and nothing shows a real place or person."
@@ -50,7 +51,7 @@ def card(config: DatasetConfig, entries: Sequence[DatasetEntry], manifest: dict[
     lines += [f"It took {cost['seconds']:.0f} s of work and holds {cost['bytes'] / 1e6:.1f} MB. `manifest.json` has "
               "the effects that every set and capture simulates or leaves out, with reasons and bounds, its cost, and "
               "the SHA-256 of every file.", "", "## Not in it", ""]  # fmt: skip
-    never = NEVER if any(entry.scene.endswith(".xml") for entry in entries) else (CATALOGUE_ONLY, *NEVER)
+    never = NEVER if any(is_scene_file(entry.scene) for entry in entries) else (CATALOGUE_ONLY, *NEVER)
     return "\n".join([*lines, *(f"- {text}" for text in never), ""])
 
 

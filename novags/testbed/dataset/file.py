@@ -24,6 +24,7 @@ from novags.testbed.study.cells.grid import Cell, Study, study_of
 from sensor_model.files.door import resolved
 from sensor_model.files.reading import brief
 from sensor_model.files.toml_file import read_toml
+from simscenes.loading.reference import is_scene_file
 
 SPLITS = ("train", "val", "test")
 LARGEST_SHARD = 1e6  # MB
@@ -106,7 +107,7 @@ def read_dataset(path: Path) -> tuple[Study, DatasetConfig]:
 
 def spelled(scene: str, file: Path) -> str:
     """The one name of a scene in a data set: its name in the catalogue, or the path from the folder of the file."""
-    return os.path.relpath(scene_identity(scene), resolved(file.parent)) if scene.endswith(".xml") else scene
+    return os.path.relpath(scene_identity(scene), resolved(file.parent)) if is_scene_file(scene) else scene
 
 
 def _with_named_scenes(config: DatasetConfig, file: Path) -> DatasetConfig:

@@ -22,7 +22,7 @@ VARIANTS = ("auto", *BACKENDS, *(f"{backend}_{color}" for backend in BACKENDS fo
 class RenderConfig:
     """The scene to render and the accuracy."""
 
-    scene: str = "tabletop"  # a name of simscenes.SCENES, "tabletop:3" for its variation 3, or a Mitsuba .xml file
+    scene: str = "tabletop"  # of simscenes.SCENES, "tabletop:3" for its variation 3, or a .xml or glTF file
     n_views: int = 32
     width: int = 128  # px
     height: int = 128  # px

@@ -20,6 +20,7 @@ from novags.testbed.study.cells.levels import level_named
 from novags.testbed.study.cells.presets import Preset, adapted
 from sensor_model.files.door import resolved
 from sensor_model.presets import PRESETS as SENSORS
+from simscenes.loading.reference import is_scene_file
 from simscenes.scenes import canonical_name
 
 RENAMED = {"views": "n_views"}  # as the command line calls them -> as `adapted` does
@@ -198,14 +199,14 @@ def scene_of(value: str, folder: Path) -> str:
         ValueError: If the catalogue has no such scene, or the file does not exist.
     """
     path = folder / Path(value).expanduser()
-    if value.endswith(".xml") and not os.path.isfile(path):
+    if is_scene_file(value) and not os.path.isfile(path):
         raise ValueError(f"the scene file {path} does not exist")
-    return str(path) if value.endswith(".xml") or os.path.isdir(path) else canonical_name(value)
+    return str(path) if is_scene_file(value) or os.path.isdir(path) else canonical_name(value)
 
 
 def scene_identity(scene: str) -> str:
     """The identity behind all spellings of a scene: its one name, or where the file or folder really is."""
-    return str(resolved(Path(scene))) if scene.endswith(".xml") or os.path.isdir(scene) else scene
+    return str(resolved(Path(scene))) if is_scene_file(scene) or os.path.isdir(scene) else scene
 
 
 def _text(value: Any) -> str:
