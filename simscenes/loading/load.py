@@ -92,13 +92,17 @@ def build_scene(scene: SceneLike | SceneRef, mi: Any, *, allow_outside: bool = F
     """
     source = SceneRef.of(scene)
     if source.path is not None:
-        files = _files_of(source, allow_outside)
+        files = scene_files(source, allow_outside)
         check_survives(source.path, files, mi.variant(), source.parameters, allow_outside=allow_outside)
     return load_here(source, mi, allow_outside=allow_outside)
 
 
-def _files_of(source: SceneRef, allow_outside: bool) -> tuple[Path, ...]:
-    """The files of a scene, checked."""
+def scene_files(source: SceneRef, allow_outside: bool) -> tuple[Path, ...]:
+    """The files of a scene that is a file, itself first.
+
+    Raises:
+        ValueError: As `check_xml`, or `read_document` for glTF.
+    """
     assert source.path is not None
     if source.is_gltf:
         return read_document(source.path, allow_outside=allow_outside).files

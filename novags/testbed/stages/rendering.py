@@ -15,7 +15,7 @@ from sensor_model.files.lock import locked
 from sensor_model.plan import Plan
 from simscenes.backend import choose_variant
 from simscenes.camera import camera_color
-from simscenes.loading.checks.untrusted import check_xml
+from simscenes.loading.load import scene_files
 from simscenes.rigs import Rig
 
 
@@ -57,7 +57,7 @@ def scene_digest(config: RenderConfig) -> str:
     source = config.source
     if source.path is None:
         return source.name
-    files = check_xml(source.path, allow_outside=config.allow_outside, parameters=source.parameters)
+    files = scene_files(source, config.allow_outside)
     return digest([hashlib.blake2b(read_bytes(named)).hexdigest() for named in files if named.is_file()])
 
 
