@@ -29,6 +29,7 @@ class Recorder:
         self.seconds: dict[str, float] = defaultdict(float)
         self.lines: dict[str, dict[str, set[int]]] = defaultdict(lambda: defaultdict(set))
         self.now: dict[str, set[int]] = {}
+        self.failed = set[str]()
 
     def _call(self, frame: Any, event: str, arg: object) -> Any:
         name = self.watched.get(frame.f_code.co_filename)
@@ -64,10 +65,16 @@ class Recorder:
         """The test itself."""
         yield from self._traced(item, item.nodeid)
 
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """Leave out a test that fails already."""
+        if report.failed:
+            self.failed.add(report.nodeid)
+
     def pytest_sessionfinish(self) -> None:
         """Write the findings."""
+        seconds = {test: spent for test, spent in self.seconds.items() if test not in self.failed}
         lines = {name: {who: sorted(seen) for who, seen in by.items()} for name, by in self.lines.items()}
-        self.path.write_text(json.dumps({"seconds": self.seconds, "lines": lines}), encoding="utf-8")
+        self.path.write_text(json.dumps({"seconds": seconds, "lines": lines}), encoding="utf-8")
 
 
 class Chosen:
