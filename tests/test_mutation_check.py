@@ -215,7 +215,7 @@ def test_the_choice_is_spread_over_kinds_and_functions_and_grows_without_changin
     source = "".join(f"def f{i}(a, q):\n    return q[..., 0] * 3 - a.mean()\n\n\n" for i in range(5))
     candidates = [("a.py", mutant) for mutant in mutants(source)]
     order = in_turn(candidates, random.Random(0))
-    assert sorted(order, key=id) == sorted(candidates, key=id)
+    assert sorted(order, key=repr) == sorted(candidates, key=repr)
     kinds = {m.kind for _, m in candidates}
     assert {m.kind for _, m in order[: len(kinds)]} == kinds
     signs = [m.function for _, m in order if m.kind == "sign"]
