@@ -1,6 +1,7 @@
 """The tests that are nearest to a module: those that its author would run first."""
 
 import re
+from functools import cache
 from pathlib import Path
 
 
@@ -26,7 +27,11 @@ def _is_named_after(test: Path, module: str) -> bool:
 
 
 def _imports(test: Path, module: Path) -> bool:
-    text = test.read_text(encoding="utf-8")
     whole, package = re.escape(".".join(module.parts)), re.escape(".".join(module.parent.parts))
     one_of = rf"^\s*from {package} import (\([^)]*|[^(\n]*)\b{module.name}\b"
-    return bool(re.search(rf"\b{whole}\b(?!\.)", text) or re.search(one_of, text, re.M))
+    return bool(re.search(rf"\b{whole}\b(?!\.)", _text(test)) or re.search(one_of, _text(test), re.M))
+
+
+@cache
+def _text(path: Path) -> str:
+    return path.read_text(encoding="utf-8")
