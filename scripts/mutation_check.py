@@ -35,6 +35,7 @@ else:
 from mutation.baseline import tests_reaching
 from mutation.careless import CARELESS
 from mutation.judge import Job, baseline, verdicts
+from mutation.listing import listing
 from mutation.mutants import Mutant, mutants
 from mutation.nearest import nearest
 from mutation.record import code_of_test, earlier, fingerprint, holds, keys
@@ -259,6 +260,8 @@ def main() -> None:
     excuses = tomllib.loads(EXCUSED.read_text(encoding="utf-8")).get("excused", [])
     text = summary(entries, excuses, "kind" if options.kinds else "file")
     (options.out / "summary.md").write_text(text + "\n", encoding="utf-8")
+    notes = {entry["key"]: reason(entry, excuses) for entry in entries if entry["verdict"] == "survived"}
+    (options.out / "list.md").write_text(listing(entries, notes), encoding="utf-8")
     print(f"\n{text}")
 
 

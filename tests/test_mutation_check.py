@@ -317,3 +317,30 @@ def test_a_test_that_fails_already_is_not_asked(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     known = judge.baseline(tmp_path, [], "test_it.py", tmp_path / "known.json")
     assert list(known["seconds"]) == ["test_it.py::test_good"]
+
+
+def test_the_list_shows_where_before_and_after_differ_and_the_test_that_failed():
+    from mutation.listing import difference, listing
+
+    common = {"file": "a/b.py", "line": 3, "before": 'digest({"a": x,\n  "b": y, "c": z})'}
+    entries = [
+        common | {"key": "1", "kind": "seed", "after": "(1)", "verdict": "survived", "by": "", "before": "seed"},
+        common | {"key": "2", "kind": "identity", "verdict": "caught", "by": "tests/a/test_b.py::test_it[7]",
+                  "after": "(digest({'a': x, 'c': z}))"},
+    ]  # fmt: skip
+    text = listing(entries, {"1": "nobody draws"})
+    assert text.splitlines() == [
+        "## Identity",
+        "",
+        "- a/b.py:3 `digest({'a': x, 'b': y, 'c': z})` becomes `digest({'a': x, 'c': z})`; a/test_b.py `test_it`",
+        "",
+        "## Seed",
+        "",
+        "- a/b.py:3 `seed` becomes `1`; **survived**: nobody draws",
+    ]
+    long = "f(" + ", ".join(f"argument_{i}" for i in range(20)) + ")"
+    before, after = difference(long, long.replace("_9", "_99"))
+    assert (before[0], before[-1]) == ("…", "…")
+    assert "argument_9," in before
+    assert "argument_99," in after
+    assert max(len(before), len(after)) < 70
