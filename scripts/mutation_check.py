@@ -9,7 +9,7 @@ the careless ones (`mutation/careless.py`) all over the product, and asks the ne
 
 A mistake that no test fails on survived: either a test is missing, or the mistake changes nothing that a user could
 see; those are excused, with the reason, in `mutation/excused.toml`. Every group of tests runs once on the unchanged
-sources, to learn how long each test takes and which lines it reaches. Verdicts are kept in the folder `--out` and
+sources, to learn how long each test takes and which functions it enters. Verdicts are kept in the folder `--out` and
 reused as long as they hold: see `mutation/record.py`.
 """
 

@@ -1,4 +1,4 @@
-"""Which tests reach which lines, and how long they take: one run of the tests on the unchanged sources.
+"""Which tests reach which functions, and how long they take: one run of the tests on the unchanged sources.
 
 The recorder is a pytest plugin; so is the choice of tests that a mutant is judged by.
 """
@@ -18,9 +18,9 @@ from .mutants import Mutant
 
 
 class Recorder:
-    """Writes, at the end of a session, the seconds of each test and the lines of the watched files that it ran.
+    """Writes, at the end of a session, the seconds of each test and the functions of the watched files that it ran.
 
-    Lines that a fixture runs count for all tests of the file: the fixture may be shared among them.
+    Functions that a fixture runs count for all tests of the file: the fixture may be shared among them.
     """
 
     def __init__(self, watched: dict[str, str], path: Path) -> None:
@@ -29,23 +29,19 @@ class Recorder:
         self.seconds: dict[str, float] = defaultdict(float)
         self.lines: dict[str, dict[str, set[int]]] = defaultdict(lambda: defaultdict(set))
         self.now: dict[str, set[int]] = {}
+        self.entered = set[int]()
         self.failed = set[str]()
 
-    def _call(self, frame: Any, event: str, arg: object) -> Any:
+    def _call(self, frame: Any, event: str, arg: object) -> None:
+        """Of a function that is entered all lines count: to watch each of them would take several times as long."""
         name = self.watched.get(frame.f_code.co_filename)
-        if name is None:
-            return None
-        seen = self.now.setdefault(name, set())
-        seen.add(frame.f_lineno)
-
-        def line(frame: Any, event: str, arg: object) -> Any:
-            seen.add(frame.f_lineno)
-            return line
-
-        return line
+        if name is not None and id(frame.f_code) not in self.entered:
+            self.entered.add(id(frame.f_code))
+            self.now.setdefault(name, set()).update(line for *_, line in frame.f_code.co_lines() if line)
 
     def _traced(self, item: pytest.Item, who: str) -> Iterator[None]:
         started, self.now = time.perf_counter(), {}
+        self.entered.clear()
         threading.settrace(self._call)
         sys.settrace(self._call)
         yield
@@ -95,7 +91,7 @@ class Chosen:
 
 
 def tests_reaching(known: dict[str, Any], file: str, mutant: Mutant) -> list[str]:
-    """Tests that evaluate the expression, quickest first; all of them if it is evaluated on import."""
+    """Tests that enter its function, quickest first; all of them if the expression is evaluated on import."""
     seconds: dict[str, float] = known["seconds"]
     if mutant.imported:
         return sorted(seconds, key=seconds.__getitem__)
