@@ -128,19 +128,20 @@ def chosen(options: Any) -> list[Placed]:
     return [one for name, part in parts.items() for one in orders[name][:part]]
 
 
-def reach(watched: dict[str, list[str]], tests: list[str], out: Path) -> dict[str, Any]:
+def reach(watched: dict[str, list[str]], tests: list[str], options: Any) -> dict[str, Any]:
     """What every test reaches and how long it takes, from one run of each test file on the unchanged sources.
 
     Args:
         watched: The sources that each test file answers for.
         tests: Test files.
-        out: Where the findings are kept.
+        options: The command's: where the findings are kept, and how long a test may take.
     """
     known: dict[str, Any] = {"seconds": {}, "lines": {}}
     for test in tests:
         texts = [(ROOT / name).read_text(encoding="utf-8") for name in watched[test]]
-        name = fingerprint(*watched[test], *texts, test, test_text([test]))
-        found = baseline(ROOT, watched[test], test, out / f"baseline-{Path(test).stem}-{name}.json")
+        name = fingerprint(*watched[test], *texts, test, test_text([test]), str(options.longest))
+        path = options.out / f"baseline-{Path(test).stem}-{name}.json"
+        found = baseline(ROOT, watched[test], test, path, options.longest)
         known["seconds"] |= found["seconds"]
         for source, lines in found["lines"].items():
             known["lines"].setdefault(source, {}).update(lines)
@@ -167,10 +168,10 @@ def jobs(wanted: list[Placed], known: dict[str, dict[str, Any]], options: Any) -
                 if entry is not None and holds(entry, ROOT, about):
                     yield entry | {"line": mutant.line}
                     continue
-                reached = reached or reach(watched, tests, options.out)
+                reached = reached or reach(watched, tests, options)
                 seconds: dict[str, float] = reached["seconds"]
                 asked = [test for test in tests_reaching(reached, name, mutant) if seconds[test] <= options.longest]
-                limit = 60 + 5 * sum(seconds[test] for test in asked)
+                limit = 120 + 15 * sum(seconds[test] for test in asked)
                 yield Job(file=name, mutant=mutant, key=named[mutant], about=about, tests=tuple(asked), limit=limit)
 
 
@@ -217,7 +218,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--count", type=int, default=240, help="mutants over all chosen files")
     parser.add_argument("--seed", type=int, default=0, help="of the choice; a larger count extends a smaller one")
     parser.add_argument("--jobs", type=int, default=2, help="mutants at a time")
-    parser.add_argument("--longest", type=float, default=10.0, help="seconds of a test; longer ones are not asked")
+    parser.add_argument("--longest", type=float, default=10.0, help="seconds of computing; longer tests are not asked")
     parser.add_argument("--out", type=Path, default=ROOT / "build" / "mutation", help="folder of verdicts")
     options = parser.parse_args()
     options.kinds = [kind for kind in options.kinds.split(",") if kind]

@@ -4,9 +4,10 @@ The recorder is a pytest plugin; so is the choice of tests that a mutant is judg
 """
 
 import json
+import os
+import signal
 import sys
 import threading
-import time
 from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
@@ -23,9 +24,15 @@ class Recorder:
     Functions that a fixture runs count for all tests of the file: the fixture may be shared among them.
     """
 
-    def __init__(self, watched: dict[str, str], path: Path) -> None:
-        """watched: absolute path of a source -> the name it is written down by."""
-        self.watched, self.path = watched, path
+    def __init__(self, watched: dict[str, str], path: Path, longest: float) -> None:
+        """Record a session.
+
+        Args:
+            watched: The name that a source is written down by, by its absolute path.
+            path: Where the findings go.
+            longest: Seconds of computing after which a test is stopped and left out; its fixtures have three times that.
+        """
+        self.watched, self.path, self.longest = watched, path, longest
         self.seconds: dict[str, float] = defaultdict(float)
         self.lines: dict[str, dict[str, set[int]]] = defaultdict(lambda: defaultdict(set))
         self.now: dict[str, set[int]] = {}
@@ -39,27 +46,30 @@ class Recorder:
             self.entered.add(id(frame.f_code))
             self.now.setdefault(name, set()).update(line for *_, line in frame.f_code.co_lines() if line)
 
-    def _traced(self, item: pytest.Item, who: str) -> Iterator[None]:
-        started, self.now = time.perf_counter(), {}
+    def _traced(self, item: pytest.Item, who: str, longest: float) -> Iterator[None]:
+        started, self.now = _computed(), {}
         self.entered.clear()
         threading.settrace(self._call)
         sys.settrace(self._call)
+        signal.signal(signal.SIGPROF, _stop)
+        signal.setitimer(signal.ITIMER_PROF, longest)
         yield
+        signal.setitimer(signal.ITIMER_PROF, 0)
         sys.settrace(None)
         threading.settrace(None)  # type: ignore[arg-type]
-        self.seconds[item.nodeid] += time.perf_counter() - started
+        self.seconds[item.nodeid] += _computed() - started
         for name, lines in self.now.items():
             self.lines[name][who] |= lines
 
     @pytest.hookimpl(hookwrapper=True)
     def pytest_runtest_setup(self, item: pytest.Item) -> Iterator[None]:
         """Fixtures."""
-        yield from self._traced(item, item.nodeid.split("::")[0])
+        yield from self._traced(item, item.nodeid.split("::")[0], 3 * self.longest)
 
     @pytest.hookimpl(hookwrapper=True)
     def pytest_runtest_call(self, item: pytest.Item) -> Iterator[None]:
         """The test itself."""
-        yield from self._traced(item, item.nodeid)
+        yield from self._traced(item, item.nodeid, self.longest)
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Leave out a test that fails already."""
@@ -71,6 +81,15 @@ class Recorder:
         seconds = {test: spent for test, spent in self.seconds.items() if test not in self.failed}
         lines = {name: {who: sorted(seen) for who, seen in by.items()} for name, by in self.lines.items()}
         self.path.write_text(json.dumps({"seconds": seconds, "lines": lines}), encoding="utf-8")
+
+
+def _computed() -> float:
+    """Seconds that this process and its children have computed: a busy machine makes them no more."""
+    return sum(os.times()[:4])
+
+
+def _stop(signum: int, frame: object) -> None:
+    pytest.fail("it takes too long to be asked")
 
 
 class Chosen:

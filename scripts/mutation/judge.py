@@ -98,19 +98,19 @@ def run_pytest(root: Path, tests: list[str], plugin: object, folder: Path) -> in
     return int(pytest.main([*options, *tests], plugins=[plugin]))
 
 
-def baseline(root: Path, sources: list[str], test: str, path: Path) -> dict[str, Any]:
+def baseline(root: Path, sources: list[str], test: str, path: Path, longest: float = 10.0) -> dict[str, Any]:
     """Seconds and reached lines of every test of a file on the unchanged sources, kept in the file `path`."""
     if not path.exists():
         log = path.with_suffix(".log")
         with tempfile.TemporaryDirectory() as folder:
-            recorder = Recorder({str(root / name): name for name in sources}, path)
+            recorder = Recorder({str(root / name): name for name in sources}, path, longest)
             pid = in_child(partial(run_pytest, root, [test], recorder, Path(folder)), log)
             code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
         if code not in (0, FAILED, NO_TESTS) or not path.exists():
             path.unlink(missing_ok=True)
             raise SystemExit(f"{test} cannot be run: see {log}")
         if code == FAILED:
-            print(f"{test} fails without any mistake put in, and those of its tests that do are not asked: see {log}")
+            print(f"{test} fails or takes too long; those of its tests that do are not asked: see {log}", flush=True)
     return json.loads(path.read_text(encoding="utf-8"))
 
 
