@@ -274,22 +274,24 @@ def test_a_verdict_holds_while_its_test_or_for_survivors_all_tests_are_the_same(
     assert holds({**caught, "by": "time limit", "by_code": ""}, tmp_path, "new")
 
 
-def test_the_nearest_tests_lie_in_the_mirrored_folder_or_above_it_and_name_or_import_the_module(tmp_path):
+def test_the_nearest_tests_lie_in_the_mirrored_folder_or_above_it_and_name_import_or_mention_the_module(tmp_path):
     from mutation.nearest import nearest
 
     texts = {
+        "a/b/five.py": "def high(): pass\n\n\ndef _low(): pass\n",
         "tests/a/test_all.py": "import a.deep.two",
         "tests/a/test_one_by_one.py": "",
-        "tests/a/b/test_two_hard_cases.py": "",
-        "tests/a/b/test_twofold.py": "from a.b import (\n    one,\n    three,\n)",
-        "tests/a/b/test_rest.py": "from a.b.two.parts import x",
+        "tests/a/b/test_two_hard_cases.py": "_low",
+        "tests/a/b/test_twofold.py": "from a.b import (\n    one,\n    three,\n)\nfrom a.b import two",
+        "tests/a/b/test_rest.py": "from a.b.two.parts import high",
     }
     for name, text in texts.items():
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(text)
     assert nearest(tmp_path, "a/b/two.py") == ("tests/a/b/test_two_hard_cases.py",)
     assert nearest(tmp_path, "a/b/three.py") == ("tests/a/b/test_twofold.py",)
-    assert nearest(tmp_path, "a/b/_four.py") == tuple(sorted(name for name in texts if "/b/" in name))
+    assert nearest(tmp_path, "a/b/_four.py") == tuple(sorted(name for name in texts if "s/a/b/" in name))
+    assert nearest(tmp_path, "a/b/five.py") == ("tests/a/b/test_rest.py",)
     assert nearest(tmp_path, "a/deep/two.py") == ("tests/a/test_all.py",)
     assert nearest(tmp_path, "a/one.py") == ("tests/a/test_one_by_one.py",)
 

@@ -30,7 +30,7 @@ class Recorder:
         Args:
             watched: The name that a source is written down by, by its absolute path.
             path: Where the findings go.
-            longest: Seconds of computing after which a test is stopped and left out; its fixtures have three times that.
+            longest: Seconds of computing after which a test is stopped and left out; its fixtures have thrice that.
         """
         self.watched, self.path, self.longest = watched, path, longest
         self.seconds: dict[str, float] = defaultdict(float)

@@ -1,5 +1,6 @@
 """The tests that are nearest to a module: those that its author would run first."""
 
+import ast
 import re
 from functools import cache
 from pathlib import Path
@@ -9,8 +10,8 @@ def nearest(root: Path, source: str) -> tuple[str, ...]:
     """The test files that answer for one source, relative to the root.
 
     They lie in the folder of `tests/` that mirrors the source's own, or, where that has none, in the next one above it.
-    There they are those that are named after the module or that import it; where there are none of these, all of the
-    folder.
+    There they are those that are named after the module; where there are none, those that import it; else those that
+    mention a public name of it; else all of the folder.
     """
     module = Path(source).with_suffix("")
     folder = root / "tests" / module.parent
@@ -18,18 +19,28 @@ def nearest(root: Path, source: str) -> tuple[str, ...]:
         folder = folder.parent
     if module.name == "__init__":
         module = module.parent
-    found = [path for path in beside if _is_named_after(path, module.name) or _imports(path, module)]
-    return tuple(str(path.relative_to(root)) for path in found or beside)
-
-
-def _is_named_after(test: Path, module: str) -> bool:
-    return f"_{module.strip('_')}_" in f"_{test.stem}_"
+    named = [path for path in beside if f"_{module.name.strip('_')}_" in f"_{path.stem}_"]
+    importing = [path for path in beside if _imports(path, module)]
+    mentioning = [path for path in beside if _mentions(path, root / source)]
+    return tuple(str(path.relative_to(root)) for path in named or importing or mentioning or beside)
 
 
 def _imports(test: Path, module: Path) -> bool:
     whole, package = re.escape(".".join(module.parts)), re.escape(".".join(module.parent.parts))
     one_of = rf"^\s*from {package} import (\([^)]*|[^(\n]*)\b{module.name}\b"
     return bool(re.search(rf"\b{whole}\b(?!\.)", _text(test)) or re.search(one_of, _text(test), re.M))
+
+
+def _mentions(test: Path, source: Path) -> bool:
+    return any(re.search(rf"\b{name}\b", _text(test)) for name in _public(source))
+
+
+@cache
+def _public(source: Path) -> tuple[str, ...]:
+    if not source.is_file():
+        return ()
+    defined = (n for n in ast.parse(_text(source)).body if isinstance(n, ast.FunctionDef | ast.ClassDef))
+    return tuple(node.name for node in defined if node.name[0] != "_")
 
 
 @cache
