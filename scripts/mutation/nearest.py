@@ -19,19 +19,23 @@ def nearest(root: Path, source: str) -> tuple[str, ...]:
         folder = folder.parent
     if module.name == "__init__":
         module = module.parent
-    named = [path for path in beside if f"_{module.name.strip('_')}_" in f"_{path.stem}_"]
-    importing = [path for path in beside if _imports(path, module)]
-    mentioning = [path for path in beside if _mentions(path, root / source)]
-    return tuple(str(path.relative_to(root)) for path in named or importing or mentioning or beside)
+    for answers in (_is_named_after, _imports, _mentions):
+        if found := [path for path in beside if answers(path, module, root / source)]:
+            return tuple(str(path.relative_to(root)) for path in found)
+    return tuple(str(path.relative_to(root)) for path in beside)
 
 
-def _imports(test: Path, module: Path) -> bool:
+def _is_named_after(test: Path, module: Path, source: Path) -> bool:
+    return f"_{module.name.strip('_')}_" in f"_{test.stem}_"
+
+
+def _imports(test: Path, module: Path, source: Path) -> bool:
     whole, package = re.escape(".".join(module.parts)), re.escape(".".join(module.parent.parts))
     one_of = rf"^\s*from {package} import (\([^)]*|[^(\n]*)\b{module.name}\b"
     return bool(re.search(rf"\b{whole}\b(?!\.)", _text(test)) or re.search(one_of, _text(test), re.M))
 
 
-def _mentions(test: Path, source: Path) -> bool:
+def _mentions(test: Path, module: Path, source: Path) -> bool:
     return any(re.search(rf"\b{name}\b", _text(test)) for name in _public(source))
 
 
