@@ -101,3 +101,16 @@ def test_textures_are_possible_reflectances() -> None:
         assert texels.dtype == np.float32
         assert 0.02 <= texels.min() <= texels.max() <= 0.85
         assert texels.std() > 0.01
+
+
+@pytest.mark.parametrize(("shape", "text"), [((90, 240), "H"), ((120, 110), "HOHO"), ((60, 60), "H")])
+def test_lettering_is_as_large_as_fits_and_in_the_middle(shape: tuple[int, int], text: str) -> None:
+    texels = t.lettering(shape, np.random.default_rng(0), text, ink="000000", paper="ffffff")
+    frame = 2 * (min(shape) // 14)
+    inside = (slice(frame, -frame), slice(frame, -frame))
+    rows, columns = (np.flatnonzero((texels.mean(-1) < 0.3)[inside].any(axis)) + frame for axis in (1, 0))
+    middle = (rows[0] + rows[-1] + 1) / 2, (columns[0] + columns[-1] + 1) / 2
+    # A letter does not fill the height that its font reserves.
+    np.testing.assert_allclose(middle, np.array(shape) / 2, atol=0.12 * min(shape))
+    filled = np.ptp(rows) / shape[0], np.ptp(columns) / shape[1]
+    assert 0.5 < max(filled) < 0.9
