@@ -13,6 +13,7 @@ from simscenes.loading.load import LoadedScene, build_scene
 from simscenes.loading.reference import SceneRef
 from simscenes.render.geometry import geometry_channels
 from simscenes.scenes import textures as t
+from simscenes.scenes.sculpture import Stone
 from simscenes.transport import pilot
 from simscenes.transport.effects import DEEPEST, depth_effects, media_effects
 from simscenes.transport.pilot import RR_DEPTH, Pilot
@@ -75,6 +76,52 @@ def test_the_seed_and_nothing_else_varies_a_scene(name: str) -> None:
     first = build_scene(name, mi)
     assert build_scene(name, mi).digest == first.digest
     assert build_scene(f"{name}:1", mi).digest != first.digest
+
+
+def test_every_scene_draws_from_its_seed_and_a_number_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the slow test above sees in the whole of each scene, seen where it begins."""
+
+    class Begun(Exception):
+        pass
+
+    def begin(start: list[int]) -> None:
+        raise Begun(*start)
+
+    activate()
+    monkeypatch.setattr(np.random, "default_rng", begin)
+    own = dict[str, tuple[Any, ...]]()
+    for name in SCENES:
+        with pytest.raises(Begun) as begun:
+            SCENES[name](5)
+        seed, *own[name] = begun.value.args
+        assert seed == 5, name
+    assert len({tuple(numbers) for numbers in own.values()}) == len(own)
+
+
+def test_a_sculpture_is_turned_enlarged_and_moved_with_its_normals() -> None:
+    """By hand: a quarter turn about z takes x to y and y to -x."""
+    activate()
+    stone = Stone((-0.3, -0.3, 0.0), (0.3, 0.3, 0.5), 0.05)
+    stone.add((0.05, 0.02, 0.25), (0.2, 0.1, 0.15))
+    plain, moved = stone.mesh(grey(), (0, 0, 0)), stone.mesh(grey(), (1.0, 2.0, 3.0), 90.0, 2.0)
+    at, normals = (traversed(plain, name) for name in ("vertex_positions", "vertex_normals"))
+    turned = np.stack([-2 * at[:, 1] + 1, 2 * at[:, 0] + 2, 2 * at[:, 2] + 3], -1)
+    np.testing.assert_allclose(traversed(moved, "vertex_positions"), turned, atol=1e-5)
+    expected = np.stack([-normals[:, 1], normals[:, 0], normals[:, 2]], -1)
+    np.testing.assert_allclose(traversed(moved, "vertex_normals"), expected, atol=1e-5)
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-5)
+
+
+def grey() -> Any:
+    import mitsuba as mi
+
+    return mi.load_dict({"type": "diffuse"})
+
+
+def traversed(shape: Any, name: str) -> np.ndarray:
+    import mitsuba as mi
+
+    return np.array(mi.traverse(shape)[name]).reshape(-1, 3)
 
 
 @pytest.mark.parametrize("beta", [0.8, 1.2, 1.6])
