@@ -34,7 +34,7 @@ else:
 
 from mutation.baseline import tests_reaching
 from mutation.careless import CARELESS
-from mutation.judge import Job, baseline, verdicts
+from mutation.judge import Job, baseline, is_compiled, verdicts
 from mutation.listing import listing
 from mutation.mutants import Mutant, mutants
 from mutation.nearest import nearest
@@ -170,7 +170,8 @@ def jobs(wanted: list[Placed], known: dict[str, dict[str, Any]], options: Any) -
                     continue
                 reached = reached or reach(watched, tests, options)
                 seconds: dict[str, float] = reached["seconds"]
-                asked = [test for test in tests_reaching(reached, name, mutant) if seconds[test] <= options.longest]
+                asked = tests_reaching(reached, name, mutant, is_compiled(source))
+                asked = [test for test in asked if seconds[test] <= options.longest]
                 limit = 120 + 15 * sum(seconds[test] for test in asked)
                 yield Job(file=name, mutant=mutant, key=named[mutant], about=about, tests=tuple(asked), limit=limit)
 

@@ -109,10 +109,17 @@ class Chosen:
             self.failed.write_text(report.nodeid, encoding="utf-8")
 
 
-def tests_reaching(known: dict[str, Any], file: str, mutant: Mutant) -> list[str]:
-    """Tests that enter its function, quickest first; all of them if the expression is evaluated on import."""
+def tests_reaching(known: dict[str, Any], file: str, mutant: Mutant, everywhere: bool = False) -> list[str]:
+    """Tests that enter its function, quickest first; all of them if the expression is evaluated on import.
+
+    Args:
+        known: What tests enter, and their seconds.
+        file: Of the mutant.
+        mutant: The mutant.
+        everywhere: Whether all tests count, because it cannot be seen which of them enter.
+    """
     seconds: dict[str, float] = known["seconds"]
-    if mutant.imported:
+    if mutant.imported or everywhere:
         return sorted(seconds, key=seconds.__getitem__)
     wanted = range(mutant.lines[0], mutant.lines[1] + 1)
     reaching = {who for who, lines in known["lines"].get(file, {}).items() if not set(wanted).isdisjoint(lines)}

@@ -114,9 +114,14 @@ def baseline(root: Path, sources: list[str], test: str, path: Path, longest: flo
     return json.loads(path.read_text(encoding="utf-8"))
 
 
+def is_compiled(source: str) -> bool:
+    """Whether numba compiles functions of a source: what calls them then is machine code, which nobody can watch."""
+    return bool(re.search(r"^@(kernel|inline|jit|njit)\b", source, re.M))
+
+
 def _judge(root: Path, job: Job, folder: Path) -> int:
     source = (root / job.file).read_text(encoding="utf-8")
-    if re.search(r"^@(kernel|inline|jit|njit)\b", source, re.M):
+    if is_compiled(source):
         # Machine code is kept under the name of the file on disk: this process must not take it, nor leave its own.
         importlib.import_module("numba").config.CACHE_DIR = str(folder / "numba")
     sys.meta_path.insert(0, MutatedModule(root, job.file, job.mutant.apply(source)))
