@@ -170,7 +170,7 @@ def jobs(wanted: list[Placed], known: dict[str, dict[str, Any]], options: Any) -
                     continue
                 reached = reached or reach(watched, tests, options)
                 seconds: dict[str, float] = reached["seconds"]
-                asked = tests_reaching(reached, name, mutant, is_compiled(source))
+                asked = tests_reaching(reached, name, mutant, everywhere=is_compiled(source))
                 asked = [test for test in asked if seconds[test] <= options.longest]
                 limit = 120 + 15 * sum(seconds[test] for test in asked)
                 yield Job(file=name, mutant=mutant, key=named[mutant], about=about, tests=tuple(asked), limit=limit)

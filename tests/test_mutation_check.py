@@ -180,7 +180,7 @@ def test_weak_tests_let_mutants_survive_and_good_ones_catch_them(tmp_path, monke
     jobs = [
         judge.Job(
             file=f"{name}.py", mutant=m, key=str(i), limit=60.0,
-            tests=tuple(baseline.tests_reaching(known, f"{name}.py", m)),
+            tests=tuple(baseline.tests_reaching(known, f"{name}.py", m, everywhere=False)),
         )
         for i, m in enumerate(wanted)
     ]  # fmt: skip

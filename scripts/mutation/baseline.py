@@ -109,7 +109,7 @@ class Chosen:
             self.failed.write_text(report.nodeid, encoding="utf-8")
 
 
-def tests_reaching(known: dict[str, Any], file: str, mutant: Mutant, everywhere: bool = False) -> list[str]:
+def tests_reaching(known: dict[str, Any], file: str, mutant: Mutant, *, everywhere: bool) -> list[str]:
     """Tests that enter its function, quickest first; all of them if the expression is evaluated on import.
 
     Args:
