@@ -1,4 +1,4 @@
-"""All judged mutants as one page: what became what, and which test failed."""
+"""All judged mutants as one page, each with the test that failed."""
 
 import ast
 from collections.abc import Iterable

@@ -10,8 +10,8 @@ def nearest(root: Path, source: str) -> tuple[str, ...]:
     """The test files that answer for one source, relative to the root.
 
     They lie in the folder of `tests/` that mirrors the source's own, or, where that has none, in the next one above it.
-    There they are those that are named after the module; where there are none, those that import it; else those that
-    mention a public name of it; else all of the folder.
+    In that folder the files count that are named after the module. Where no file is, the files count that import the
+    module, else the files that mention a public name of the module, else all files of the folder.
     """
     module = Path(source).with_suffix("")
     folder = root / "tests" / module.parent
