@@ -71,9 +71,32 @@ def changed(body: str) -> dict[str, set[str]]:
         ("key_of([q, view], x)", "identity", {"key_of([q], x)", "key_of([view], x)", "key_of([q, view])", "key_of(x)"}),
         ("draw(seed=q.seed)", "seed", {"draw(seed=0)"}),
         ("draw(q.seed)", "seed", {"draw(0)"}),
-        ("[q for q in views]", "only the first", {"[q for q in views[:1]]"}),
-        ("q @ q.matrix.T", "colour matrix", {"q"}),
-        ("dark + bright", "axes", {"bright + bright", "dark + dark"}),
+        ("[q for q in views]", "only the first", {"[q for q in list(views)[:1]]"}),
+        ("q @ q.matrix.T", "colour matrix", {"q", "q @ q.matrix"}),
+        ("dark + bright", "wrong end", {"bright + bright", "dark + dark"}),
+        ("max(light, 3)", "wrong end", {"min(light, 3)"}),
+        ("signal_e[0]", "wrong end", {"signal_e[-1]"}),
+        ("quantile(q, 0.1)", "wrong end", {"quantile(q, 1 - 0.1)"}),
+        ("q * view.gain", "gain", {"q / view.gain"}),
+        ("default_rng([q.seed, view, 7])", "seed", {"default_rng([view, 7])", "default_rng([q.seed, 7])"}),
+        ("replace(q.views, viewmats=x)", "cameras", {"q.views"}),
+        ("q.views + view.views", "cameras", {"q.views + q.views", "view.views + view.views"}),
+        (
+            "sha256(q + f'{x}:{y}'.encode())",
+            "identity",
+            {
+                "sha256(q)",
+                "sha256(f'{x}:{y}'.encode())",
+                "sha256(q + f':{y}'.encode())",
+                "sha256(q + f'{x}:'.encode())",
+            },
+        ),
+        ("memo.once((q, view), x)", "identity", {"memo.once((q,), x)", "memo.once((view,), x)"}),
+        (
+            "stage(inputs=lambda: {'a': q, 'b': x})",
+            "identity",
+            {"stage(inputs=lambda: {'a': q})", "stage(inputs=lambda: {'b': x})"},
+        ),
     ],
 )
 def test_a_rule_yields_the_mistakes_of_its_kind(body, kind, mutants):
@@ -83,6 +106,20 @@ def test_a_rule_yields_the_mistakes_of_its_kind(body, kind, mutants):
 @pytest.mark.parametrize("body", ["f'{q}: {view} px'", "q.norm(keepdim=True)", "q.clamp_min", "'a' + 'b'"])
 def test_messages_and_harmless_options_are_left_alone(body):
     assert changed(body) == {}
+
+
+def test_all_parts_of_what_a_function_named_identity_returns_are_dropped_in_turn():
+    from mutation.mutants import mutants
+
+    def dropped(name: str) -> set[str]:
+        source = f"def {name}(q, x):\n    return json.dumps([q, x]).encode() + b'7'\n"
+        found = [m.apply(source).split("return ")[1].strip() for m in mutants(source) if m.kind == "identity"]
+        return {ast.unparse(ast.parse(text)) for text in found}
+
+    assert dropped("f") == set()
+    assert dropped("_identity") == dropped("view_key") == {
+        "json.dumps([x]).encode() + b'7'", "json.dumps([q]).encode() + b'7'", "json.dumps([q, x]).encode()", "b'7'",
+    }  # fmt: skip
 
 
 def test_floors_validation_annotations_and_docstrings_are_left_alone():
@@ -143,7 +180,7 @@ def test_weak_tests_let_mutants_survive_and_good_ones_catch_them(tmp_path, monke
     jobs = [
         judge.Job(
             file=f"{name}.py", mutant=m, key=str(i), limit=60.0,
-            tests=tuple(baseline.tests_reaching(known, f"{name}.py", m)),
+            tests=tuple(baseline.tests_reaching(known, f"{name}.py", m, everywhere=False)),
         )
         for i, m in enumerate(wanted)
     ]  # fmt: skip
@@ -176,12 +213,12 @@ def test_the_choice_is_spread_over_kinds_and_functions_and_grows_without_changin
     from mutation_check import in_turn, shares
 
     source = "".join(f"def f{i}(a, q):\n    return q[..., 0] * 3 - a.mean()\n\n\n" for i in range(5))
-    candidates = mutants(source)
+    candidates = [("a.py", mutant) for mutant in mutants(source)]
     order = in_turn(candidates, random.Random(0))
-    assert sorted(order, key=id) == sorted(candidates, key=id)
-    kinds = {m.kind for m in candidates}
-    assert {m.kind for m in order[: len(kinds)]} == kinds
-    signs = [m.function for m in order if m.kind == "sign"]
+    assert sorted(order, key=repr) == sorted(candidates, key=repr)
+    kinds = {m.kind for _, m in candidates}
+    assert {m.kind for _, m in order[: len(kinds)]} == kinds
+    signs = [m.function for _, m in order if m.kind == "sign"]
     assert set(signs) == {f"f{i}" for i in range(5)}
     assert in_turn(candidates, random.Random(0)) == order
     assert shares({"a": 100, "b": 400, "c": 0}, 30) == {"a": 10, "b": 20}
@@ -235,3 +272,77 @@ def test_a_verdict_holds_while_its_test_or_for_survivors_all_tests_are_the_same(
     path.write_text("def test_x():\n    assert f(2)\n")
     assert not holds(caught, tmp_path, "old")
     assert holds({**caught, "by": "time limit", "by_code": ""}, tmp_path, "new")
+
+
+def test_the_nearest_tests_lie_in_the_mirrored_folder_or_above_it_and_name_import_or_mention_the_module(tmp_path):
+    from mutation.nearest import nearest
+
+    texts = {
+        "a/b/five.py": "def high(): pass\n\n\ndef _low(): pass\n",
+        "tests/a/test_all.py": "import a.deep.two",
+        "tests/a/test_one_by_one.py": "",
+        "tests/a/b/test_two_hard_cases.py": "_low",
+        "tests/a/b/test_twofold.py": "from a.b import (\n    one,\n    three,\n)\nfrom a.b import two",
+        "tests/a/b/test_rest.py": "from a.b.two.parts import high",
+    }
+    for name, text in texts.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
+    assert nearest(tmp_path, "a/b/two.py") == ("tests/a/b/test_two_hard_cases.py",)
+    assert nearest(tmp_path, "a/b/three.py") == ("tests/a/b/test_twofold.py",)
+    assert nearest(tmp_path, "a/b/_four.py") == tuple(sorted(name for name in texts if "s/a/b/" in name))
+    assert nearest(tmp_path, "a/b/five.py") == ("tests/a/b/test_rest.py",)
+    assert nearest(tmp_path, "a/deep/two.py") == ("tests/a/test_all.py",)
+    assert nearest(tmp_path, "a/one.py") == ("tests/a/test_one_by_one.py",)
+
+
+def test_chosen_kinds_are_drawn_in_equal_shares_all_over_the_product_and_judged_by_the_nearest_tests(monkeypatch):
+    import argparse
+
+    import mutation_check
+    from mutation.nearest import nearest
+
+    options = argparse.Namespace(kinds=["identity", "gain"], only="job/|plan|params|fit", count=20, seed=3)
+    found = mutation_check.chosen(options)
+    assert [mutant.kind for _, mutant in found].count("identity") == [m.kind for _, m in found].count("gain") == 10
+    assert {name.split("/")[0] for name, _ in found} == {"novags", "sensor_model", "simscenes"}
+    options.count = 6
+    assert mutation_check.chosen(options) == found[:6]
+    root = mutation_check.ROOT
+    assert (["simscenes/rigs.py"], list(nearest(root, "simscenes/rigs.py"))) in mutation_check.groups(careless=True)
+
+
+def test_a_test_that_fails_already_is_not_asked(tmp_path, monkeypatch):
+    from mutation import judge
+
+    (tmp_path / "test_it.py").write_text("def test_good():\n    pass\n\n\ndef test_bad():\n    assert 0\n")
+    monkeypatch.chdir(tmp_path)
+    known = judge.baseline(tmp_path, [], "test_it.py", tmp_path / "known.json")
+    assert list(known["seconds"]) == ["test_it.py::test_good"]
+
+
+def test_the_list_shows_where_before_and_after_differ_and_the_test_that_failed():
+    from mutation.listing import difference, listing
+
+    common = {"file": "a/b.py", "line": 3, "before": 'digest({"a": x,\n  "b": y, "c": z})'}
+    entries = [
+        common | {"key": "1", "kind": "seed", "after": "(1)", "verdict": "survived", "by": "", "before": "seed"},
+        common | {"key": "2", "kind": "identity", "verdict": "caught", "by": "tests/a/test_b.py::test_it[7]",
+                  "after": "(digest({'a': x, 'c': z}))"},
+    ]  # fmt: skip
+    text = listing(entries, {"1": "nobody draws"})
+    assert text.splitlines() == [
+        "## Identity",
+        "",
+        "- a/b.py:3 `digest({'a': x, 'b': y, 'c': z})` becomes `digest({'a': x, 'c': z})`; a/test_b.py `test_it`",
+        "",
+        "## Seed",
+        "",
+        "- a/b.py:3 `seed` becomes `1`; **survived**: nobody draws",
+    ]
+    long = "f(" + ", ".join(f"argument_{i}" for i in range(20)) + ")"
+    before, after = difference(long, long.replace("_9", "_99"))
+    assert (before[0], before[-1]) == ("…", "…")
+    assert "argument_9," in before
+    assert "argument_99," in after
+    assert max(len(before), len(after)) < 70

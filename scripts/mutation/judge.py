@@ -9,6 +9,7 @@ import importlib.abc
 import importlib.util
 import json
 import os
+import re
 import shutil
 import signal
 import sys
@@ -16,7 +17,7 @@ import tempfile
 import time
 import traceback
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass
 from functools import partial
 from importlib.machinery import SourceFileLoader
@@ -28,7 +29,8 @@ import pytest
 from .baseline import Chosen, Recorder
 from .mutants import Mutant
 
-BROKEN, NO_TESTS = (1, 2), 5  # pytest's exit status: no test failed, but a file could not be imported; no test is left
+# Of pytest: some test failed; no test failed, but a file could not be imported (1 or 2); no test is left.
+FAILED, BROKEN, NO_TESTS = 1, (1, 2), 5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,38 +98,54 @@ def run_pytest(root: Path, tests: list[str], plugin: object, folder: Path) -> in
     return int(pytest.main([*options, *tests], plugins=[plugin]))
 
 
-def baseline(root: Path, sources: list[str], test: str, path: Path) -> dict[str, Any]:
+def baseline(root: Path, sources: list[str], test: str, path: Path, longest: float = 10.0) -> dict[str, Any]:
     """Seconds and reached lines of every test of a file on the unchanged sources, kept in the file `path`."""
     if not path.exists():
         log = path.with_suffix(".log")
         with tempfile.TemporaryDirectory() as folder:
-            recorder = Recorder({str(root / name): name for name in sources}, path)
+            recorder = Recorder({str(root / name): name for name in sources}, path, longest)
             pid = in_child(partial(run_pytest, root, [test], recorder, Path(folder)), log)
             code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
-        if code not in (0, NO_TESTS) or not path.exists():
+        if code not in (0, FAILED, NO_TESTS) or not path.exists():
             path.unlink(missing_ok=True)
-            raise SystemExit(f"{test} fails without any mistake put in: see {log}")
+            raise SystemExit(f"{test} cannot be run: see {log}")
+        if code == FAILED:
+            print(f"{test} fails or takes too long; those of its tests that do are not asked: see {log}", flush=True)
     return json.loads(path.read_text(encoding="utf-8"))
+
+
+def is_compiled(source: str) -> bool:
+    """Whether numba compiles functions of a source: what calls them then is machine code, which nobody can watch."""
+    return bool(re.search(r"^@(kernel|inline|jit|njit)\b", source, re.M))
 
 
 def _judge(root: Path, job: Job, folder: Path) -> int:
     source = (root / job.file).read_text(encoding="utf-8")
+    if is_compiled(source):
+        # Machine code is kept under the name of the file on disk: this process must not take it, nor leave its own.
+        importlib.import_module("numba").config.CACHE_DIR = str(folder / "numba")
     sys.meta_path.insert(0, MutatedModule(root, job.file, job.mutant.apply(source)))
     files = list(dict.fromkeys(test.split("::")[0] for test in job.tests))
     return run_pytest(root, ["-x", *files], Chosen(job.tests, folder / "failed"), folder)
 
 
-def verdicts(root: Path, jobs: list[Job], workers: int) -> Iterator[dict[str, Any]]:
-    """Judge all jobs, some at a time: "caught", "survived", or "broken" where the module cannot even be imported."""
-    waiting, running = list(reversed(jobs)), dict[int, tuple[Job, Path, float]]()
-    while waiting or running:
-        while waiting and len(running) < workers:
-            job = waiting.pop()
-            if not job.tests:
+def verdicts(root: Path, jobs: Iterable[Job], workers: int) -> Iterator[dict[str, Any]]:
+    """Judge all jobs, some at a time: "caught", "survived", or "broken" where the module cannot even be imported.
+
+    A job is taken when there is a place for it: what it takes to learn its tests need not be done before the first.
+    """
+    waiting, running = iter(jobs), dict[int, tuple[Job, Path, float]]()
+    more = True
+    while more or running:
+        while more and len(running) < workers:
+            job = next(waiting, None)
+            if job is None:
+                more = False
+            elif not job.tests:
                 yield _entry(job, "survived", "no test reaches it", 0.0)
-                continue
-            folder = Path(tempfile.mkdtemp(prefix="mutant-"))
-            running[in_child(partial(_judge, root, job, folder), folder / "log")] = job, folder, time.monotonic()
+            else:
+                folder = Path(tempfile.mkdtemp(prefix="mutant-"))
+                running[in_child(partial(_judge, root, job, folder), folder / "log")] = job, folder, time.monotonic()
         time.sleep(0.02)
         for pid, (job, folder, started) in list(running.items()):
             seconds = time.monotonic() - started

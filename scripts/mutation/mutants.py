@@ -9,7 +9,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
-from .rules import changes, name_of, operators
+from .careless import name_of
+from .rules import changes, operators
 
 AXIS_METHODS = {
     "sum", "mean", "std", "var", "amax", "amin", "max", "min", "any", "all", "cumsum", "movedim", "unsqueeze",
@@ -100,6 +101,8 @@ def _statements(body: list[ast.stmt], place: _Place) -> Iterator[tuple[str, Any,
                     yield kind, node, ast.AugAssign(target=node.target, op=other, value=node.value), at
                 yield "dropped step", node, ast.Pass(), at
                 yield from _expression(node.value, at)
+            case ast.Assign(targets=[ast.Name(id=name)], value=value):
+                yield from _expression(value, at, name)
             case ast.Assign(value=value) | ast.AnnAssign(value=value) | ast.Return(value=value) if value is not None:
                 yield from _expression(value, at)
 
@@ -111,10 +114,17 @@ def _definition(node: ast.FunctionDef | ast.ClassDef, place: _Place) -> Iterator
         return
     for default in [*node.args.defaults, *(d for d in node.args.kw_defaults if d is not None)]:
         yield from _expression(default, replace(place, function=function, lines=(node.lineno, node.lineno)))
-    ids = {n.id for n in ast.walk(node) if isinstance(n, ast.Name)} | {
-        n.arg for n in ast.walk(node.args) if isinstance(n, ast.arg)
-    }
-    yield from _statements(node.body, _Place(function=function, names=place.names | ids, imported=False))
+    names = place.names | _names(node)
+    yield from _statements(node.body, _Place(function=function, names=names, imported=False))
+
+
+def _names(function: ast.FunctionDef) -> frozenset[str]:
+    """What a function knows, as `rules.changes` takes it."""
+    ids = {n.id for n in ast.walk(function) if isinstance(n, ast.Name)}
+    arguments = {n.arg for n in ast.walk(function.args) if isinstance(n, ast.arg)}
+    attributes = [n for n in ast.walk(function) if isinstance(n, ast.Attribute)]
+    cameras = {ast.unparse(n) for n in attributes if n.attr in ("viewmats", "views")}
+    return frozenset(ids | arguments | {f".{n.attr}" for n in attributes} | cameras)
 
 
 def _head(place: _Place, test: ast.expr) -> _Place:
@@ -125,7 +135,7 @@ def _expression(node: ast.expr, place: _Place, role: str = "") -> Iterator[tuple
     """Changes of an expression and all inside. `role` says what a constant is there for."""
     if isinstance(node, ast.JoinedStr):
         return
-    for kind, after in changes(node, role, place.names):
+    for kind, after in changes(node, role, place.names, place.function):
         yield kind, node, after, place
     for child, its_role in _children(node, role):
         yield from _expression(child, place, its_role)

@@ -4,20 +4,21 @@ import ast
 from collections.abc import Iterator
 from typing import Any
 
-Change = tuple[str, ast.expr]  # kind, what stands there instead
+from .careless import CAMERA_PAIRS, END_PAIRS, Change, careless, name_of
 
 FLOOR = 1e-5  # smaller constants only keep a division or a logarithm finite
 PAIRS = (
     ("height", "width"), ("rows", "columns"), ("y", "x"), ("top", "left"), ("tops", "lefts"), ("down", "right"),
-    ("source", "target"), ("warped", "target"), ("low", "high"), ("noisy", "clean"), ("dark", "clean"),
+    ("source", "target"), ("warped", "target"), ("noisy", "clean"), ("dark", "clean"),
     ("enhanced", "denoised"), ("enhanced", "clean"), ("prediction", "noisy"), ("origin", "goal"),
     ("camera_t", "camera_s"), ("depth_t", "depth_s"), ("alpha_t", "alpha_s"), ("mx", "my"), ("xx", "yy"),
     ("near", "far"), ("first", "last"), ("start", "stop"), ("forward", "up"), ("mean", "variance"), ("a", "b"),
-    ("dark", "bright"), ("darkest", "brightest"), ("black", "white"), ("given", "refined"), ("known", "estimated"),
-    ("viewmats", "refined"),
+    *CAMERA_PAIRS, *END_PAIRS,
 )  # fmt: skip
 PARTNERS = {name: [b if a == name else a for a, b in PAIRS if name in (a, b)] for pair in PAIRS for name in pair}
 VIEW_PAIRS = {"source", "target", "warped", "camera_t", "camera_s", "depth_t", "depth_s", "origin", "goal"}
+PAIR_KINDS = {frozenset(pair): kind for kind, pairs in (("cameras", CAMERA_PAIRS), ("wrong end", END_PAIRS))
+              for pair in pairs}  # fmt: skip
 VIEW_INDICES = {"view", "source", "i", "j", "index", "frame"}
 TWINS = {
     "extremes": (("min", "max"), ("amin", "amax"), ("minimum", "maximum"), ("clamp_min", "clamp_max"),
@@ -34,29 +35,24 @@ DROPPED = {
 }  # fmt: skip
 MODES = {"reflect": "replicate", "replicate": "reflect", "border": "zeros", "bilinear": "bicubic", "edge": "reflect"}
 FLIPS = {ast.Lt: ast.Gt, ast.Gt: ast.Lt, ast.LtE: ast.GtE, ast.GtE: ast.LtE, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq}
-IDENTITIES = {
-    "digest",
-    "key_of",
-    "identity",
-    "fingerprint",
-    "content_of",
-    "job_digest",
-}  # functions whose parts all count
 HARMLESS_OPTIONS = {
     "keepdim", "keepdims", "strict", "exist_ok", "missing_ok", "parents", "copy", "sort_keys", "frozen", "kw_only",
     "set_to_none", "enabled",
 }  # fmt: skip
 
 
-def changes(node: ast.expr, role: str, names: frozenset[str]) -> Iterator[Change]:
+def changes(node: ast.expr, role: str, names: frozenset[str], function: str) -> Iterator[Change]:
     """Mistakes that replace this expression as a whole.
 
     Args:
         node: The expression.
-        role: Its role there: "axis", "index", "slice", "exponent", "callee", "argument", "loop", "option NAME" or "".
-        names: Names that the function knows: only those can be mixed up.
+        role: Its role there: "axis", "index", "slice", "exponent", "callee", "argument", "loop", "option NAME", the
+            name that it is given, or "".
+        names: Names that the function knows: only those can be mixed up. With them are its `.attributes`, and the whole
+            `x.viewmats` and `x.views`.
+        function: Its qualified name.
     """
-    yield from _carelessness(node, role)
+    yield from careless(node, role, names, function)
     match node:
         case ast.BinOp():
             yield from _arithmetic(node)
@@ -86,41 +82,9 @@ def changes(node: ast.expr, role: str, names: frozenset[str]) -> Iterator[Change
         case ast.Name(id=name) if role != "callee":
             for partner in PARTNERS.get(name, []):
                 if partner in names:
-                    yield "wrong view" if name in VIEW_PAIRS else "axes", ast.Name(id=partner)
+                    yield _pair_kind(name, partner), ast.Name(id=partner)
             if role in ("argument", "index") and name in VIEW_INDICES:
                 yield "wrong view", _number(0)
-
-
-def _carelessness(node: ast.expr, role: str) -> Iterator[Change]:
-    """Mistakes that small tests hide: of one view, of gain 1, of the identity as colour matrix, of one seed."""
-    match node:
-        case ast.Call(func=func, args=args) if name_of(func) in IDENTITIES:
-            for i in range(len(args) if len(args) > 1 else 0):
-                left = [*args[:i], *args[i + 1 :]]
-                yield "identity", ast.Call(func=func, args=left, keywords=node.keywords)
-            for i, arg in enumerate(args):
-                for part in _without_an_entry(arg):
-                    yield (
-                        "identity",
-                        ast.Call(func=func, args=[*args[:i], part, *args[i + 1 :]], keywords=node.keywords),
-                    )
-        case ast.Name() | ast.Attribute() if role == "option seed" or (role == "argument" and name_of(node) == "seed"):
-            yield "seed", _number(0)
-        case ast.Name() | ast.Attribute() if role == "loop" and name_of(node).endswith("s"):
-            yield "only the first", ast.Subscript(value=node, slice=ast.Slice(upper=_number(1)))
-        case ast.BinOp(left=left, op=ast.MatMult(), right=right) if "matrix" in ast.unparse(right):
-            yield "colour matrix", left
-
-
-def _without_an_entry(node: ast.expr) -> Iterator[ast.expr]:
-    """A dictionary, a list or a tuple of several parts, without one of them."""
-    match node:
-        case ast.Dict(keys=keys, values=values) if len(keys) > 1:
-            for i in range(len(keys)):
-                yield ast.Dict(keys=[*keys[:i], *keys[i + 1 :]], values=[*values[:i], *values[i + 1 :]])
-        case ast.List(elts=parts) | ast.Tuple(elts=parts) if len(parts) > 1:
-            for i in range(len(parts)):
-                yield type(node)(elts=[*parts[:i], *parts[i + 1 :]], ctx=ast.Load())
 
 
 def _arithmetic(node: ast.BinOp) -> Iterator[Change]:
@@ -205,13 +169,12 @@ def _call(node: ast.Call) -> Iterator[Change]:
         yield "range", ast.Call(func=node.func, args=[*args[:2], less, *args[3:]], keywords=node.keywords)
     for i, (a, b) in enumerate(zip(args[:-1], args[1:], strict=True)):
         if name_of(b) in PARTNERS.get(name_of(a), []):
-            kind = "wrong view" if name_of(a) in VIEW_PAIRS else "axes"
+            kind = _pair_kind(name_of(a), name_of(b))
             yield kind, ast.Call(func=node.func, args=[*args[:i], b, a, *args[i + 2 :]], keywords=node.keywords)
 
 
-def name_of(node: ast.expr) -> str:
-    """The name or attribute that an expression ends in; "" for any other expression."""
-    return node.id if isinstance(node, ast.Name) else node.attr if isinstance(node, ast.Attribute) else ""
+def _pair_kind(a: str, b: str) -> str:
+    return PAIR_KINDS.get(frozenset((a, b)), "wrong view" if a in VIEW_PAIRS else "axes")
 
 
 def _number(value: float) -> ast.expr:

@@ -352,3 +352,10 @@ def test_every_quantum_efficiency_says_where_it_was_measured_or_that_it_is_assum
         origin = SOURCES[name]["eta"]
         known = {"imx900": "FRAMOS, at 536 nm", "prime-": "Prime 95B, its largest", "ideal": "by definition"}
         assert origin == next((text for start, text in known.items() if name.startswith(start)), "assumed")
+
+
+@pytest.mark.parametrize("name", [name for name, sensor in PRESETS.items() if sensor.sigma_row])
+def test_row_noise_is_a_small_part_of_the_read_noise(name):
+    """As all of its sources measured it: at most a fifth, in electrons."""
+    sensor = PRESETS[name]
+    assert 0 < sensor.sigma_row < 0.2 * sensor.sigma_d

@@ -149,3 +149,16 @@ def test_a_crop_has_its_own_part_of_the_banding():
     whole = expose(photons, sensor, EXPOSURE, seed=7, view=1)
     part = expose(photons[3:, 5:], sensor, Exposure(time=EXPOSURE.time, origin=(3, 5)), seed=7, view=1)
     np.testing.assert_array_equal(part.dn, whole.dn[3:, 5:])
+
+
+@pytest.mark.parametrize("gain", [0.5, 3.0])
+@pytest.mark.parametrize("backend", ["numpy", "numba"])
+def test_codes_are_black_level_plus_gain_times_electrons(gain, backend):
+    """Of a camera whose read noise is a hundredth of a code: all that is left is shot noise, known to the electron."""
+    sensor = Sensor(gain=gain, eta=0.5, mu_e_sat=1e6, black_level=64.0, bits=16, sigma_d=0.01 / gain, cfa=None)
+    light = np.full((40, 50), 800.0)
+    frame = expose(light, sensor, Exposure(time=0.01), seed=1, view=0, backend=backend)
+    electrons = (frame.dn - 64.0) / gain
+    assert electrons.mean() == pytest.approx(400, abs=5 * np.sqrt(400 / light.size))
+    assert electrons.var() == pytest.approx(400, rel=5 * np.sqrt(2 / light.size))
+    np.testing.assert_allclose(frame.clean_dn, 64 + 400 * gain, rtol=1e-6)

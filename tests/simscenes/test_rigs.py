@@ -146,3 +146,10 @@ def test_look_at_refuses_an_undefined_direction(position: tuple, target: tuple) 
 def test_pixels_that_mitsuba_cannot_render_are_refused() -> None:
     with pytest.raises(ValueError, match="square pixels"):
         rigs.intrinsics_to_mitsuba([[50, 0, 10], [0, 55, 10], [0, 0, 1]], 20, 20)
+
+
+def test_a_world_with_another_zero_is_seen_alike() -> None:
+    rig, origin = orbit_rig(3, 40, 30, 50.0, radius=2.0), np.array([1.0, -2.0, 0.5])
+    points = np.random.default_rng(0).normal(0, 0.3, (9, 3))
+    for before, after in zip(rig.project(points), rig.about(origin).project(points - origin), strict=True):
+        np.testing.assert_allclose(after, before, atol=1e-9)

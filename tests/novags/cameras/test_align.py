@@ -156,6 +156,16 @@ def test_errors_are_those_of_the_one_wrong_camera():
     torch.testing.assert_close(found.centre_error, want, atol=1e-7, rtol=0)
 
 
+def test_a_camera_that_is_estimated_twice_decides_nothing():
+    """Two views with the very same estimate leave the scale between them open; the others have one."""
+    true, similarity = orbit(9), some(np.random.default_rng(4))
+    estimated = to_estimated(similarity, true)
+    estimated[1] = estimated[0]
+    found = align(estimated, true)
+    assert found.inliers.tolist() == [True, False] + [True] * 7
+    assert differ(found.similarity, similarity) < 1e-9
+
+
 def test_of_six_cameras_the_spread_is_taken_for_wider_than_their_median_says():
     """Rousseeuw's factor for them is 1 + 5 / 4: one that is off by seven times the median still counts."""
     true = orbit(6)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pycolmap
 import pytest
 import torch
 from PIL import Image
@@ -160,6 +161,25 @@ def test_the_same_photographs_give_the_same_set_and_are_placed_once(taken, place
     assert (placed[0] / "set.json").stat().st_mtime_ns == before
     with pytest.raises(ValueError, match=r"another request \(max_features was 4096, is 500\)"):
         stages.poses(placed[0], PosesConfig(photographs=taken[1], max_features=500), QUIET)
+
+
+def test_the_seed_reaches_matches_and_cameras(taken, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """COLMAP is asked for the seed that it was given, and stopped then: clean pictures are placed alike with most."""
+    match, given = pycolmap.match_image_pairs, list[int]()
+
+    def matched(database, matching, pairing, verification, **rest):
+        given.append(verification.ransac.random_seed)
+        return match(database, matching, pairing, verification, **rest)
+
+    def stopped(database, pictures, out, options, **rest):
+        given.append(options.random_seed)
+        raise ValueError("far enough")
+
+    monkeypatch.setattr(pycolmap, "match_image_pairs", matched)
+    monkeypatch.setattr(pycolmap, "incremental_mapping", stopped)
+    with pytest.raises(ValueError, match="far enough"):
+        stages.poses(tmp_path / "set", PosesConfig(photographs=taken[1], max_features=100, seed=7), QUIET)
+    assert set(given) == {7}
 
 
 def test_pictures_that_do_not_belong_together_are_refused_with_advice(tmp_path: Path) -> None:

@@ -288,3 +288,53 @@ def test_the_distortion_takes_places_and_widths_in_one_unit(monkeypatch: pytest.
     inside = along[:, 1:] < 0.99  # a sample lies in the middle of its interval
     between = (widths[:, 1:] + widths[:, :-1]) / 2
     torch.testing.assert_close(along.diff(dim=1)[inside], between[inside], rtol=1e-3, atol=1e-6)
+
+
+def test_the_seed_varies_the_field_at_the_start_and_the_pixels_of_every_step() -> None:
+    seeds = (0, 0, 1)
+    start = [fitted(dataclasses.replace(TINY, iterations=1, rate=1e-12, seed=seed))[0] for seed in seeds]
+    first, again, other = (torch.cat([t.flatten() for t in fit.state.field.tensors().values()]) for fit in start)
+    assert torch.equal(first, again)
+    assert not torch.equal(first, other)
+    seen: dict[int, list[Tensor]] = {seed: [] for seed in seeds}
+    views, images, _, points = ball()
+    box, loss = box_of(views.centers, points), mse(images)
+    for seed in seen:
+
+        def watched(batch: Batch, seed: int = seed) -> Tensor:
+            seen[seed].append(batch.of(images).clone())
+            return loss(batch)
+
+        fit_field(views, points, box, watched, dataclasses.replace(TINY, iterations=2, seed=seed))
+    drawn = [step for steps in seen.values() for step in steps]
+    assert not any(torch.equal(a, b) for i, a in enumerate(drawn) for b in drawn[:i])
+
+
+@pytest.mark.parametrize("what", ["viewmats", "Ks", "width", "height", "points", "box", "extra", "settings"])
+def test_a_checkpoint_of_any_other_input_is_refused(what: str, tmp_path: Path) -> None:
+    views, images, _, points = ball()
+    box, config, path = (
+        box_of(views.centers, points),
+        dataclasses.replace(TINY, iterations=1),
+        tmp_path / "c.safetensors",
+    )
+    extra = {"a": torch.zeros(3)}
+    fit_field(views, points, box, mse(images), config, checkpoint=path, extra=extra)
+    K = torch.tensor([[1.01, 0, 0], [0, 1, 0], [0, 0, 1]])
+    turn = torch.diag(torch.tensor([-1.0, -1.0, 1.0, 1.0]))
+    changed = {
+        "viewmats": {"views": dataclasses.replace(views, viewmats=views.viewmats @ turn)},
+        "Ks": {"views": dataclasses.replace(views, Ks=views.Ks @ K)},
+        "width": {"views": dataclasses.replace(views, width=views.width - 1)},
+        "height": {"views": dataclasses.replace(views, height=views.height - 1)},
+        "points": {"points": points[1:]},
+        "box": {"box": box_of(1.1 * views.centers, points)},
+        "extra": {"extra": {"a": torch.ones(3)}},
+        "settings": {"config": dataclasses.replace(config, rate=0.5)},
+    }[what]
+    given = {"views": views, "points": points, "box": box, "config": config, "extra": extra} | changed
+    with pytest.raises(ValueError, match="belongs to a run with other settings"):
+        fit_field(
+            given["views"], given["points"], given["box"], mse(images), given["config"], checkpoint=path,
+            extra=given["extra"],
+        )  # fmt: skip

@@ -98,3 +98,22 @@ def test_where_light_is_missing_is_told_from_noise() -> None:
     assert pilot.root_mean_squares(lacking + noise, full) == pytest.approx(exact, abs=0.04)
     assert pilot.scaled((0.1, 0.2, 0.0, 0.0, 0.0), 0.03, 0.01) == pytest.approx((0.3, 0.6, 0, 0, 0))
     assert pilot.scaled((0.1,) * 5, 0.03, 0.0) == (0.03,) * 5
+
+
+def test_of_several_views_the_worst_dark_quarter_is_told() -> None:
+    """Each number of the view that has the largest."""
+    one = {
+        "error": 0.05,
+        "relative_error": 0.03,
+        "error_by_brightness": [0.2, 0.01],
+        "noise_by_brightness": [0.1, 0.02],
+    }
+    two = {
+        "error": 0.04,
+        "relative_error": 0.02,
+        "error_by_brightness": [0.5, 0.01],
+        "noise_by_brightness": [0.3, 0.02],
+    }
+    assert summary({"0": one, "1": two}) == "error 5.00% (noise 3.00%), 50.00% in the darkest quarter"
+    unknown = {"0": one | {"error": None}, "1": two}
+    assert summary(unknown) == "noise 3.00% (omitted light was not measured), 30.00% in the darkest quarter"

@@ -8,6 +8,7 @@ import pytest
 
 from simscenes.backend import activate
 from simscenes.loading.load import build_scene
+from simscenes.sets.pictures.png import write_png
 
 
 def scene(mi: Any, change: str = "") -> dict[str, Any]:
@@ -68,3 +69,20 @@ def test_a_file_is_known_by_what_it_and_its_includes_say_not_by_where_it_lies(tm
         return build_scene(tmp_path / folder / "scene.xml", mi).digest
 
     assert digest("a", "false") == digest("b", "false") != digest("c", "true")
+
+
+def test_two_files_with_exchanged_contents_are_another_scene(tmp_path: Path) -> None:
+    """The scene file says the same, and all numbers are there as before, but at the other ball."""
+    mi = activate()
+
+    def digest(folder: str, *grey: int) -> str:
+        (tmp_path / folder).mkdir()
+        balls = ""
+        for i, value in enumerate(grey):
+            write_png(tmp_path / folder / f"{i}.png", np.full((4, 4, 3), value, np.uint8))
+            paint = f'<texture type="bitmap" name="reflectance"><string name="filename" value="{i}.png"/></texture>'
+            balls += f'<shape type="sphere" id="ball {i}"><bsdf type="diffuse">{paint}</bsdf></shape>'
+        (tmp_path / folder / "scene.xml").write_text(f'<scene version="3.0.0">{balls}</scene>')
+        return build_scene(tmp_path / folder / "scene.xml", mi).digest
+
+    assert digest("a", 50, 200) == digest("b", 50, 200) != digest("c", 200, 50)

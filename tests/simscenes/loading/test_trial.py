@@ -232,3 +232,46 @@ def test_a_link_that_was_allowed_after_the_trial_process_began_is_followed_there
     trial.check_survives(first, [first], "scalar_rgb")
     allow([tmp_path / "outside"])
     trial.check_survives(second, [second, tmp_path / "scene" / "m.obj"], "scalar_rgb")
+
+
+def test_a_scene_is_tried_once_for_each_variant_version_content_and_choice_of_parameters(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tried, versions = list[tuple[Any, ...]](), {"drjit": "1.0", "mitsuba": "3.6"}
+
+    class Recording:
+        def __init__(self, variant: str) -> None:
+            self.variant = variant
+
+        def load(self, scene: Path, parameters: Any = ()) -> str:
+            tried.append((self.variant, *parameters))
+            return ""
+
+    monkeypatch.setattr(trial, "_Process", Recording)
+    monkeypatch.setattr(trial, "_PROCESSES", {})
+    monkeypatch.setattr(trial.importlib.metadata, "version", versions.__getitem__)
+    scene, part = tmp_path / "scene.xml", tmp_path / "part.xml"
+    scene.write_text("a")
+    part.write_text("b")
+
+    def is_tried(variant: str = "rgb", parameters: Any = ()) -> bool:
+        before = len(tried)
+        trial.check_survives(scene, [scene, part], variant, parameters)
+        return len(tried) > before
+
+    assert is_tried()
+    assert not is_tried()
+    assert is_tried("spectral")
+    assert is_tried(parameters=[("size", "1")])
+    assert is_tried(parameters=[("size", "2")])
+    for name in versions:
+        versions[name] += ".1"
+        assert is_tried(), name
+    part.write_text("c")
+    assert is_tried()
+    scene.write_text("c")
+    assert is_tried()
+    part.rename(tmp_path / "other.xml")
+    part = tmp_path / "other.xml"
+    assert is_tried()
+    assert not any(map(is_tried, ["rgb"]))

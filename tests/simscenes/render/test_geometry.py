@@ -9,7 +9,7 @@ import pytest
 from simscenes import Rig
 from simscenes.backend import using_variant
 from simscenes.loading.load import build_scene
-from simscenes.render.geometry import geometry_channels
+from simscenes.render.geometry import check_cameras, geometry_channels
 from simscenes.render.sensors import sensor_dict
 
 Scene = Callable[[], dict[str, Any]]
@@ -143,3 +143,20 @@ def test_geometry_sees_through_lamps_that_the_integrator_hides(backend: str, hid
     assert lamp_seen.all() == lamp_seen.any() == (not hidden)
     assert np.allclose(channels["Z"], 3.0 if hidden else 2.0)
     assert (channels["id"] == 1 + loaded.shapes.index("floor" if hidden else "card")).all()
+
+
+@pytest.mark.parametrize(("which", "is_refused"), [("first", True), ("second", True), ("clear", False)])
+def test_a_camera_inside_any_opaque_object_is_refused_by_its_name(which: str, is_refused: bool, view: Camera) -> None:
+    """Two opaque balls and one of glass, one of them around the camera."""
+    rig, materials = view(8, 6), {"first": "diffuse", "second": "plastic", "clear": "dielectric"}
+    balls = {}
+    for i, (name, material) in enumerate(materials.items()):
+        centre = rig.positions[0] + (0 if name == which else 100 + 10 * i)
+        balls[name] = {"type": "sphere", "center": centre.tolist(), "radius": 2.0, "bsdf": {"type": material}}
+    with using_variant("scalar") as mi:
+        loaded = build_scene({"type": "scene", **balls}, mi)
+        if is_refused:
+            with pytest.raises(ValueError, match=f"view 0 at .* sees the inside of '{which}', which is one-sided"):
+                check_cameras(mi, loaded, rig)
+        else:
+            check_cameras(mi, loaded, rig)

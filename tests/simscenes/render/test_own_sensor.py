@@ -10,7 +10,7 @@ from simscenes import Rig, fit_rig, plan_transport, render_set
 from simscenes.backend import activate, using_variant
 from simscenes.loading.load import build_scene
 from simscenes.optics import Optics
-from simscenes.render.framing import own_rig, with_lens
+from simscenes.render.framing import own_cameras, own_rig, with_lens
 from simscenes.render.geometry import pixel_rays
 from simscenes.render.sensors import medium_at
 from simscenes.rigs import intrinsics, look_at
@@ -113,3 +113,20 @@ def test_fog_around_the_own_sensor_is_around_all_cameras_that_no_border_parts_fr
 def test_fog_that_only_the_sensor_knows_of_is_planned_for() -> None:
     rig = Rig(viewmats=look_at((1, -4, 2), (0, 0, 0))[None], Ks=intrinsics(8, 8, 60)[None], width=8, height=8)
     assert plan_transport(in_fog(box=False), 0.1, rig=rig, measure=False).is_on("participating media")
+
+
+def test_cameras_of_a_scene_with_two_lenses_need_one_for_all() -> None:
+    mi = activate()
+    both = scene({"width": 12, "height": 10}, id="a")
+    pose = mi.ScalarTransform4f().look_at([2, -3, 2], [0, 0, 0], [0, 0, 1])
+    film = {"type": "hdrfilm", "width": 12, "height": 10}
+    wide = {"type": "thinlens", "fov": 50.0, "to_world": pose, "film": film, "aperture_radius": 0.25}
+    both |= {"second": {**wide, "focus_distance": 2.0}, "third": {**wide, "focus_distance": 3.0}}
+    with pytest.raises(ValueError, match="0 has a pinhole, sensor 1 an aperture radius of 0.25, focused at 2"):
+        own_cameras(both)
+    assert len(own_cameras(both, own_lenses=False)) == 3
+    both.pop("camera")
+    with pytest.raises(ValueError, match="0 has .* of 0.25, focused at 2, sensor 1 an aperture .* 0.25, focused at 3"):
+        own_cameras(both)
+    both.pop("third")
+    assert len(own_cameras(both)) == 1

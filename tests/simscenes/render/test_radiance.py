@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from simscenes import Rig, orbit_rig
+from simscenes import Optics, Rig, orbit_rig
 from simscenes.backend import activate, using_variant
+from simscenes.camera import camera_color
 from simscenes.loading.load import LoadedScene, build_scene
 from simscenes.render.geometry import geometry_channels
 from simscenes.render.radiance import MAX_FILM_SPP, RenderedView, RenderMethod, grid_spp
@@ -192,3 +193,26 @@ def test_a_small_thing_is_seen_from_far_away(away: float) -> None:
     )
     assert picture[4, 4] == pytest.approx(0.2, rel=0.02)
     assert picture[0, 0] == pytest.approx(1.0)
+
+
+def test_a_cameras_colours_are_those_of_its_matrix(view: Camera) -> None:
+    """In even light of one colour; the matrix is neither symmetric nor the identity."""
+    mi, light, camera = activate(), np.array([0.9, 0.5, 0.2]), "Nikon 5100 (NPL)"
+    sky = {"type": "constant", "radiance": {"type": "rgb", "value": light.tolist()}}
+    speck = {"type": "sphere", "center": [0, 0, -50], "radius": 1.0}  # a scene needs a shape
+    loaded = build_scene({"type": "scene", "sky": sky, "speck": speck}, mi)
+    method = RenderMethod(mi, mi.variant(), loaded, mi.load_dict({"type": "path"}), optics=Optics(camera=camera))
+    mean = RenderedView(method, view(4, 3), 0).render(4, None).mean
+    np.testing.assert_allclose(mean, np.broadcast_to(camera_color(camera).matrix @ light, (3, 4, 3)), rtol=1e-5)
+
+
+def test_another_seed_gives_another_picture_in_a_scalar_variant_too(view: Camera, ball_on_plane: Scene) -> None:
+    with using_variant("scalar") as mi:
+        loaded, rig = build_scene(ball_on_plane(), mi), view(4, 3)
+        integrator = mi.load_dict({"type": "path", "max_depth": 3})
+        first, again, other = (
+            RenderedView(RenderMethod(mi, mi.variant(), loaded, integrator, seed=seed), rig, 0).render(4, None).mean
+            for seed in (0, 0, 1)
+        )
+    np.testing.assert_array_equal(first, again)
+    assert (first != other).any()

@@ -13,6 +13,7 @@ from simscenes.loading.load import LoadedScene, build_scene
 from simscenes.loading.reference import SceneRef
 from simscenes.render.geometry import geometry_channels
 from simscenes.scenes import textures as t
+from simscenes.scenes.sculpture import Stone
 from simscenes.transport import pilot
 from simscenes.transport.effects import DEEPEST, depth_effects, media_effects
 from simscenes.transport.pilot import RR_DEPTH, Pilot
@@ -77,6 +78,52 @@ def test_the_seed_and_nothing_else_varies_a_scene(name: str) -> None:
     assert build_scene(f"{name}:1", mi).digest != first.digest
 
 
+def test_every_scene_draws_from_its_seed_and_a_number_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the slow test above sees in the whole of each scene, seen where it begins."""
+
+    class Begun(Exception):
+        pass
+
+    def begin(start: list[int]) -> None:
+        raise Begun(*start)
+
+    activate()
+    monkeypatch.setattr(np.random, "default_rng", begin)
+    own = dict[str, tuple[Any, ...]]()
+    for name in SCENES:
+        with pytest.raises(Begun) as begun:
+            SCENES[name](5)
+        seed, *own[name] = begun.value.args
+        assert seed == 5, name
+    assert len({tuple(numbers) for numbers in own.values()}) == len(own)
+
+
+def test_a_sculpture_is_turned_enlarged_and_moved_with_its_normals() -> None:
+    """By hand: a quarter turn about z takes x to y and y to -x."""
+    activate()
+    stone = Stone((-0.3, -0.3, 0.0), (0.3, 0.3, 0.5), 0.05)
+    stone.add((0.05, 0.02, 0.25), (0.2, 0.1, 0.15))
+    plain, moved = stone.mesh(grey(), (0, 0, 0)), stone.mesh(grey(), (1.0, 2.0, 3.0), 90.0, 2.0)
+    at, normals = (traversed(plain, name) for name in ("vertex_positions", "vertex_normals"))
+    turned = np.stack([-2 * at[:, 1] + 1, 2 * at[:, 0] + 2, 2 * at[:, 2] + 3], -1)
+    np.testing.assert_allclose(traversed(moved, "vertex_positions"), turned, atol=1e-5)
+    expected = np.stack([-normals[:, 1], normals[:, 0], normals[:, 2]], -1)
+    np.testing.assert_allclose(traversed(moved, "vertex_normals"), expected, atol=1e-5)
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-5)
+
+
+def grey() -> Any:
+    import mitsuba as mi
+
+    return mi.load_dict({"type": "diffuse"})
+
+
+def traversed(shape: Any, name: str) -> np.ndarray:
+    import mitsuba as mi
+
+    return np.array(mi.traverse(shape)[name]).reshape(-1, 3)
+
+
 @pytest.mark.parametrize("beta", [0.8, 1.2, 1.6])
 def test_noise_has_the_spectrum_it_promises(beta: float) -> None:
     """Log-log slope of the amplitude spectrum over 16 draws; the standard error of the fit is about 0.01."""
@@ -101,3 +148,16 @@ def test_textures_are_possible_reflectances() -> None:
         assert texels.dtype == np.float32
         assert 0.02 <= texels.min() <= texels.max() <= 0.85
         assert texels.std() > 0.01
+
+
+@pytest.mark.parametrize(("shape", "text"), [((90, 240), "H"), ((120, 110), "HOHO"), ((60, 60), "H")])
+def test_lettering_is_as_large_as_fits_and_in_the_middle(shape: tuple[int, int], text: str) -> None:
+    texels = t.lettering(shape, np.random.default_rng(0), text, ink="000000", paper="ffffff")
+    frame = 2 * (min(shape) // 14)
+    inside = (slice(frame, -frame), slice(frame, -frame))
+    rows, columns = (np.flatnonzero((texels.mean(-1) < 0.3)[inside].any(axis)) + frame for axis in (1, 0))
+    middle = (rows[0] + rows[-1] + 1) / 2, (columns[0] + columns[-1] + 1) / 2
+    # A letter does not fill the height that its font reserves.
+    np.testing.assert_allclose(middle, np.array(shape) / 2, atol=0.12 * min(shape))
+    filled = np.ptp(rows) / shape[0], np.ptp(columns) / shape[1]
+    assert 0.5 < max(filled) < 0.9

@@ -90,3 +90,25 @@ def test_direct_light_is_intensity_times_cosine_over_squared_distance_or_shadow(
         assert found[two, k] == pytest.approx(second, rel=1e-3)
     assert 0 < (found[two] == 0).sum() < 12
     assert not lights._direct_light(mi, loaded, rig, 1, 2, 0).any()  # the lamps are above
+
+
+@pytest.mark.usefixtures("jit")
+def test_views_and_seeds_pick_points_of_a_lamp_of_their_own() -> None:
+    """Two cameras at one place see one floor under two equal lamps, which are so large that points of them differ."""
+    mi = activate()
+    t = mi.ScalarTransform4f()
+    glow = {"type": "area", "radiance": {"type": "rgb", "value": 1.0}}
+    lamp = {"type": "rectangle", "to_world": t.translate([0, 0, 3]).rotate([1, 0, 0], 180), "emitter": glow}
+    loaded = build_scene(
+        {"type": "scene", "floor": {"type": "rectangle", "to_world": t.scale(3)}, "lamp": lamp, "again": lamp}, mi
+    )
+    pose = look_at((0.05, 0, 2), (0.05, 0.1, 0))
+    rig = Rig(viewmats=np.stack([pose] * 2), Ks=np.repeat(intrinsics(4, 3, 30)[None], 2, 0), width=4, height=3)
+    first, again, other_view, other_seed = (
+        lights._direct_light(mi, loaded, rig, i, 2, seed) for i, seed in ((0, 0), (0, 0), (1, 0), (0, 5))
+    )
+    assert (first > 0).all()
+    np.testing.assert_array_equal(first, again)
+    assert (first != other_view).mean() > 0.9
+    assert (first != other_seed).mean() > 0.9
+    assert (first[0] != first[1]).mean() > 0.9  # and so do two lamps

@@ -68,3 +68,12 @@ def test_no_change_and_no_light_are_no_difficulty() -> None:
     found = best_blend(zero, zero, torch.randn(100, generator=torch.Generator().manual_seed(0)), zero + 1)
     assert len(found.levels) == 1
     torch.testing.assert_close(found(zero, zero), zero)
+
+
+def test_a_level_that_comes_again_counts_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of pixels that are all dark or all at white, several parts have one level."""
+    monkeypatch.setattr(module, "LEVELS", 6)
+    before = torch.tensor([1.0] * 30 + [5.0] * 30)
+    found = best_blend(before, before + 1, before + 1, torch.ones(60))
+    assert found.levels.tolist() == [1.0, 5.0]
+    torch.testing.assert_close(found(before, before + 1), before + 1)

@@ -86,6 +86,13 @@ def test_the_adaptation_changes_the_targets_and_counts_in_the_progress(problem: 
     assert {"denoise", "enhance", "fit"} <= adapted.seconds.keys()
 
 
+def test_another_seed_adapts_to_other_crops(problem: Problem) -> None:
+    config = replace(CONFIG, fit=FitConfig(iterations=1))
+    first, again, other = (train(replace(problem, seed=seed), config).targets for seed in (5, 5, 6))
+    assert torch.equal(first, again)  # type: ignore[arg-type]
+    assert not torch.equal(first, other)  # type: ignore[arg-type]
+
+
 def test_an_interrupted_run_takes_its_denoised_pictures_up_again(problem: Problem, tmp_path: Path) -> None:
     class Interrupted(Exception):
         pass

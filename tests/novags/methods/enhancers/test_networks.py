@@ -2,9 +2,10 @@
 
 import argparse
 import math
+import os
 import pickle
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -16,17 +17,18 @@ from safetensors.torch import save_file
 from novags.methods.enhanced.by_enhancer import parts
 from novags.methods.enhanced.config import EnhancedFitConfig
 from novags.methods.enhanced.enhance_then_fit import train
-from novags.methods.enhancers import ENHANCERS, located, recorded
+from novags.methods.enhancers import ENHANCERS, applying, located, recorded
 from novags.methods.enhancers.applying import enhanced, enhanced_like
 from novags.methods.enhancers.files.keras_file import read_keras
 from novags.methods.enhancers.files.weights import digest_of, read_weights
-from novags.methods.enhancers.networks import crops
+from novags.methods.enhancers.networks import Kind, crops
 from novags.methods.enhancers.rehearsal import learned
 from novags.methods.enhancers.rows.sci import SciConfig
 from novags.methods.enhancers.rows.zero_dce import ZeroDceConfig
 from novags.methods.enhancers.sci import SCI, Sci
 from novags.methods.enhancers.zero_dce import ZERO_DCE, ZeroDce
 from novags.methods.inputs import LacksInput
+from novags.methods.memo import Memo
 from novags.methods.problem import Problem
 from novags.splats import FitConfig, Views
 from novags.testbed.ledger.contents import jsonable
@@ -284,3 +286,69 @@ def test_no_gradient_of_a_rehearsal_is_longer_than_its_clip() -> None:
     after, _ = learned(replace(ZERO_DCE, rehearsal=plain), config, dark(), 5)
     moved = [(a - b).detach() for a, b in zip(after.parameters(), before.parameters(), strict=True)]
     assert math.sqrt(sum(float(each.square().sum()) for each in moved)) == pytest.approx(0.1, rel=1e-3)
+
+
+@dataclass(frozen=True)
+class Wide:
+    """The settings of a network whose width is a choice."""
+
+    weights: tuple[Path, ...]
+    times: float = 1.0
+
+
+class Times(torch.nn.Module):
+    """Makes pictures brighter by a weight and a setting."""
+
+    def __init__(self, times: float) -> None:
+        super().__init__()
+        self.weight, self.times = torch.nn.Parameter(torch.ones(())), times
+
+    def forward(self, picture: torch.Tensor) -> torch.Tensor:
+        return picture * self.weight * self.times
+
+
+TIMES = Kind(
+    name="Times", make=lambda config: Times(config.times), run=lambda network, picture, config: network(picture)
+)
+
+
+def test_a_network_that_is_held_in_memory_is_that_of_its_name_and_its_settings(tmp_path):
+    config = Wide((saved(tmp_path / "w.pth", Times(1.0)),))
+    picture = torch.full((2, 2, 3), 0.1)
+    for kind, own, expected in ((TIMES, config, 0.1), (TIMES, replace(config, times=3.0), 0.3), (TIMES, config, 0.1)):
+        torch.testing.assert_close(kind.picture(kind.load(own), picture, own)[0], torch.full((2, 2, 3), expected))
+    other = replace(TIMES, name="Other", make=lambda config: Times(5.0))
+    torch.testing.assert_close(other.picture(other.load(config), picture, config)[0], torch.full((2, 2, 3), 0.5))
+
+
+def test_a_checkpoint_of_another_network_is_refused_by_its_name(tmp_path):
+    path = tmp_path / "c.safetensors"
+    learned(ZERO_DCE, TINY, dark(), 5, checkpoint=path)
+    for kind, config, seed in ((replace(ZERO_DCE, name="Other"), TINY, 5), (ZERO_DCE, replace(TINY, rate=2e-2), 5),
+                               (ZERO_DCE, TINY, 6)):  # fmt: skip
+        with pytest.raises(ValueError, match="other pictures or settings"):
+            learned(kind, config, dark(), seed, checkpoint=path)
+
+
+def test_pictures_and_their_twins_are_enhanced_anew_when_a_file_of_weights_changes(tmp_path, monkeypatch):
+    path = saved(tmp_path / "w.pth", Times(1.0))
+    config, shared, picture = Wide((path,)), Memo(), torch.full((2, 2, 3), 0.1)
+    row = SimpleNamespace(enhance=lambda dark, config, params, noise: TIMES.enhance(dark, config, params, noise))
+    monkeypatch.setattr(applying, "enhancer_of", lambda config: ("times", row))
+
+    def both() -> list[float]:
+        view, _ = applying.enhanced_view(shared, "0", picture, config, "8bit", None)
+        twin = applying.enhanced_twin(shared, "0", picture, picture / 2, config, "8bit", None)
+        return [float(view.mean()), float(twin.mean())]
+
+    assert both() == pytest.approx([0.1, 0.05])
+    brighter = Times(1.0)
+    torch.nn.init.constant_(brighter.weight, 4.0)
+    saved(path, brighter)
+    os.utime(path, ns=(1, 1))
+    assert both() == pytest.approx([0.4, 0.2])
+
+
+def test_all_files_of_weights_of_a_run_are_looked_for_in_its_folder():
+    found = located({"enhancer": "x", "config": {"weights": ["a.h5", "b.h5"], "rate": 1}}, Path("run"))
+    assert found == {"enhancer": "x", "config": {"weights": ["run/a.h5", "run/b.h5"], "rate": 1}}

@@ -8,7 +8,7 @@ from novags.methods.enhancers import sci as part
 from novags.methods.enhancers.files.weights import read_weights
 from novags.methods.enhancers.rehearsal import learned
 from novags.methods.enhancers.rows.sci import SciConfig
-from novags.methods.enhancers.sci import SCI, Sci
+from novags.methods.enhancers.sci import SCI, Illumination, Sci
 
 
 def network(seed: int = 0) -> Sci:
@@ -148,3 +148,13 @@ def test_official_files_have_these_tensors_and_make_dark_photographs_bright(offi
     assert {n: v.shape for n, v in read_weights((path,)).items()} == {n: v.shape for n, v in own.items()}
     for dark, bright in dark_fox:
         plausible(dark, SCI.enhance(torch.from_numpy(dark), SciConfig(weights=(path,)), None, None)[0].numpy(), bright)
+
+
+def test_every_block_adds_to_what_the_ones_before_it_made():
+    torch.manual_seed(3)
+    network = Illumination(width=4, blocks=3).eval()
+    picture = torch.rand(1, 3, 6, 5)
+    seen = network.in_conv(picture)
+    for _ in range(3):
+        seen = seen + network.conv(seen)
+    torch.testing.assert_close(network.added(picture), network.out_conv(seen))

@@ -1,6 +1,7 @@
 """Gaussian-DK: response, exposure and loss by hand; and a scene seen through a response of its own."""
 
 import dataclasses
+import importlib
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -158,3 +159,25 @@ def test_wrong_settings_are_refused() -> None:
         GaussianDkConfig(target=1)
     with pytest.raises(ValueError, match="response_rate must be >= 0, got -1"):
         GaussianDkConfig(response_rate=-1)
+
+
+def test_the_lit_exposure_is_looked_for_where_the_cameras_were_refined_to(
+    problem: Callable[..., Problem], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    module, seen = importlib.import_module("novags.methods.rivals.gaussian_dk"), list[torch.Tensor]()
+    given, fitted, render = problem(), module.fit, module.GaussianScene.render
+    shift = torch.zeros(4, 4)
+    shift[0, 3] = 0.01
+
+    def refined(*parts: Any, **more: Any) -> Any:
+        result = fitted(*parts, **more)
+        return dataclasses.replace(result, viewmats=result.viewmats + shift)
+
+    def noted(scene: Any, views: Any) -> Any:
+        seen.append(views.viewmats)
+        return render(scene, views)
+
+    monkeypatch.setattr(module, "fit", refined)
+    monkeypatch.setattr(module.GaussianScene, "render", noted)
+    module.train(given, GaussianDkConfig(fit=FitConfig(iterations=1)))
+    torch.testing.assert_close(seen, [given.views.viewmats + shift])

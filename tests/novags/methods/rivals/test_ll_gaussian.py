@@ -1,6 +1,7 @@
 """The decomposition of LL-Gaussian: its terms by hand, and a wall whose light is known."""
 
 import dataclasses
+import importlib
 import math
 from collections.abc import Callable
 from types import SimpleNamespace
@@ -128,3 +129,23 @@ def test_wrong_settings_are_refused() -> None:
         LlGaussianConfig(sparse_weight=-1)
     with pytest.raises(ValueError, match=r"target must lie in \(0, 1\), got 0"):
         LlGaussianConfig(target=0)
+
+
+def test_gamma_is_chosen_where_the_cameras_were_refined_to(
+    problem: Callable[..., Problem], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    module, seen = importlib.import_module("novags.methods.rivals.ll_gaussian"), list[torch.Tensor]()
+    given, fitted = problem(), module.fit
+
+    def refined(*parts: Any, **more: Any) -> Any:
+        result = fitted(*parts, **more)
+        return dataclasses.replace(result, viewmats=result.viewmats + 0.01)
+
+    def noted(scene: GaussianScene, views: Any, target: float) -> float:
+        seen.append(views.viewmats)
+        return 0.5
+
+    monkeypatch.setattr(module, "fit", refined)
+    monkeypatch.setattr(module, "chosen_gamma", noted)
+    train(given, LlGaussianConfig(fit=FitConfig(iterations=1)))
+    torch.testing.assert_close(seen, [given.views.viewmats + 0.01])

@@ -9,7 +9,7 @@ import torch
 
 from novags.cameras.networks.package import read_checkpoint
 from novags.methods.enhancers.files.weights import read_weights
-from novags.splats.files.tensors import check_lengths
+from novags.splats.files.tensors import check_lengths, digest
 
 DIRECTORY, SIZE = b"PK\x01\x02", 24  # of a zip file: an entry of its table, and where that says the length of its part
 
@@ -45,3 +45,13 @@ def test_a_damaged_table_of_parts_is_refused_and_an_old_file_has_none(weights: P
     weights.write_bytes(content.replace(DIRECTORY, b"PK\x01\x03", 1))
     with pytest.raises(ValueError, match="the table of its parts is damaged"):
         check_lengths(weights)
+
+
+def test_tensors_of_another_kind_shape_number_or_order_have_another_digest():
+    numbers = torch.arange(6, dtype=torch.int32)
+    kinds = [
+        digest(numbers), digest(numbers.view(torch.float32)), digest(numbers.reshape(2, 3)), digest(numbers.flip(0)),
+        digest(numbers, numbers), digest(numbers[:3], numbers[3:]), digest(numbers[3:], numbers[:3]),
+    ]  # fmt: skip
+    assert len(set(kinds)) == len(kinds)
+    assert digest(numbers.reshape(2, 3).T.contiguous().T) == digest(numbers.reshape(2, 3))  # however it lies in memory

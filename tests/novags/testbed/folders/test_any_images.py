@@ -13,7 +13,7 @@ from novags.testbed import stages
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import open_capture
 from novags.testbed.folders.photographs.linear import load_linear_set
-from novags.testbed.folders.set import open_source
+from novags.testbed.folders.set import open_source, scaled_rig
 from novags.testbed.stages.capturing import QUANTILES, measure_light
 from novags.testbed.stages.configs.capturing import CaptureConfig
 from sensor_model import PRESETS, Exposure, expose, mosaic, photons_for_electrons, srgb_to_linear, write_dng
@@ -243,3 +243,12 @@ def test_views_that_are_called_unlike_their_files_are_said_to_be_named_in_a_capt
     open_source(folder, Console(stream=stream))
     assert "cannot have one name" in stream.getvalue()
     assert "the capture.json of a capture of it names the file of each" in " ".join(stream.getvalue().split())
+
+
+def test_cameras_of_smaller_pictures_see_the_same_at_scaled_pixels() -> None:
+    rig = orbit_rig(2, 40, 30, 50.0, radius=3.0)
+    small = scaled_rig(rig, 20)
+    assert (small.width, small.height) == (20, 15)
+    points = np.random.default_rng(0).normal(0, 0.3, (7, 3))
+    np.testing.assert_allclose(small.project(points)[0], rig.project(points)[0] / 2, atol=1e-9)
+    assert scaled_rig(rig, 40) is rig

@@ -156,3 +156,15 @@ def test_images_that_cannot_be_compared_are_refused() -> None:
         tone_aligned(picture(0, 8), picture(0, 9))
     with pytest.raises(ValueError, match="image must be finite"):
         tone_aligned(np.full((2, 2, 3), np.inf), np.zeros((2, 2, 3)))
+
+
+def test_affine_alignment_is_the_line_of_least_squares_for_any_gain() -> None:
+    """Against numpy's: of gains far below, above and of the other sign."""
+    rng = np.random.default_rng(5)
+    image = rng.uniform(0.3, 0.6, (9, 8, 3)).astype(np.float32)
+    for gain in (0.2, 1.6, -0.7):
+        reference = (0.45 + gain * (image - 0.45) + rng.normal(0, 0.01, image.shape)).astype(np.float32).clip(0, 1)
+        found = affine_aligned(image, reference)
+        for c in range(3):
+            line = np.polyval(np.polyfit(image[..., c].ravel(), reference[..., c].ravel(), 1), image[..., c])
+            np.testing.assert_allclose(found[..., c], line.clip(0, 1), atol=1e-5)

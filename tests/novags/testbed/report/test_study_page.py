@@ -9,13 +9,14 @@ import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from novags.testbed.report.blocks import light
 from novags.testbed.report.blocks.look import look
-from novags.testbed.report.grid import first_places, lines_of, main_column, verdict
+from novags.testbed.report.grid import by_place, first_places, lines_of, main_column, verdict
 from novags.testbed.report.look.album import Album
 from novags.testbed.report.material import Material
 from novags.testbed.report.page import write_study
@@ -390,3 +391,10 @@ def test_a_study_of_curves_that_cannot_break_has_a_page(
     copied(study, experiment, tmp_path)
     monkeypatch.setattr(light, "knee_rows", lambda curves: [])
     assert "No curve breaks" in write_study(tmp_path / "study").read_text(encoding="utf-8")
+
+
+def test_lines_are_gathered_by_all_values_of_their_place() -> None:
+    places = [{"scene": "a", "electrons": 5}, {"scene": "b", "electrons": 5}, {"scene": "a", "electrons": 20}]
+    lines: Any = [SimpleNamespace(place=place, method=method) for method in ("x", "y") for place in places]
+    found = {place: [line.method for line in own] for place, own in by_place(lines).items()}
+    assert found == dict.fromkeys([("a", "5"), ("b", "5"), ("a", "20")], ["x", "y"])

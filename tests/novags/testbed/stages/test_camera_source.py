@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from novags.cameras.estimate import CameraEstimate
 from novags.cameras.estimating import estimate_cameras
 from novags.cameras.sources.known import KnownConfig
+from novags.cameras.sources.sfm import SfmConfig
 from novags.splats import Gaussians, rasterize
 from novags.testbed import stages
 from novags.testbed.console.terminal import Console
@@ -164,3 +165,39 @@ def test_stated_errors_reach_the_cameras_that_methods_get(opened: Capture) -> No
     turns = found[3.0].viewmats.numpy()[:, :3, :3] @ true[:, :3, :3].transpose(0, 2, 1)
     angles = np.degrees([Rotation.from_matrix(turn).magnitude() for turn in turns])
     assert np.sqrt(np.mean(angles**2)) == pytest.approx(3.0, rel=0.4)
+
+
+def test_training_views_are_rendered_from_the_cameras_that_training_refined(rig: Rig) -> None:
+    """And the frame of the truth is fitted to them, not to the ones that they were refined from."""
+    train = list(range(len(rig)))
+    given = estimate(torch.tensor(rig.viewmats), rig.Ks, tuple(train))
+    refined = torch.tensor(rig.viewmats)
+    refined[:, :3, 3] *= 1.25  # a world of another scale
+    frame = CoordinateFrame.of(capture(rig, train), train, given, refined)
+    torch.testing.assert_close(frame.view(1, torch.device("cpu")).viewmats[0], refined[1].float())
+    assert frame.alignment.similarity.scale == pytest.approx(1 / 1.25)
+    as_given = CoordinateFrame.of(capture(rig, train), train, given, None)
+    torch.testing.assert_close(as_given.view(1, torch.device("cpu")).viewmats[0], given.viewmats[1].float())
+
+
+def test_the_seed_reaches_the_pictures_for_matching_and_the_source(
+    opened: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seeds = list[int]()
+
+    def stopped(*_: Any, seed: int, **more: Any) -> Any:
+        seeds.append(seed)
+        raise ValueError("far enough")
+
+    def shown(dark: torch.Tensor, seed: int) -> np.ndarray:
+        seeds.append(seed)
+        return codes(dark)
+
+    monkeypatch.setattr(camera_source, "estimate_cameras", stopped)
+    monkeypatch.setattr(camera_source, "SEEN", {"raw": shown})
+    config = SfmConfig(pictures="raw")
+    with pytest.raises(ValueError, match="far enough"):
+        cameras_of(
+            config, opened, opened.source(Console(quiet=True)), [0, 1], 5, 7, torch.device("cpu"), Console(quiet=True)
+        )
+    assert seeds == [7, 7]

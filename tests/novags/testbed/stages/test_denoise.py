@@ -89,3 +89,12 @@ def test_undistorted_pixels_of_three_chips_share_their_noise(distorted: bool, ca
 def test_a_negative_seed_is_refused() -> None:
     with pytest.raises(ValueError, match="seed"):
         DenoisePicturesConfig(seed=-1)
+
+
+def test_another_seed_adapts_to_other_crops(capture: Path, tmp_path: Path) -> None:
+    for seed in (3, 4):
+        stages.denoise(capture, tmp_path / str(seed), replace(CONFIG, seed=seed), QUIET)
+    one, other = (
+        cv2.imread(str(tmp_path / str(seed) / "linear" / "0000.png"), cv2.IMREAD_UNCHANGED) for seed in (3, 4)
+    )
+    assert not np.array_equal(one, other)

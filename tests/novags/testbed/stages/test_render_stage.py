@@ -1,5 +1,6 @@
 """Claims about what makes a render stale: the content of the scene and of all files that it names, and nothing else."""
 
+import importlib
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -9,6 +10,7 @@ import pytest
 
 from novags.testbed import stages
 from novags.testbed.console.terminal import Console
+from novags.testbed.stages import rendering
 from novags.testbed.stages.configs.rendering import RenderConfig
 from novags.testbed.stages.rendering import rig_of, scene_digest
 from simscenes import Optics
@@ -121,3 +123,20 @@ def test_cameras_that_a_layout_cannot_hold_are_refused_before_anything_is_render
     with pytest.raises(ValueError, match="the Blender layout holds one field of view for all"):
         stages.render(tmp_path / "set", config, QUIET)
     assert not (tmp_path / "set" / "gt").exists()
+
+
+def test_the_seed_reaches_the_plan_and_the_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    given = list[int]()
+
+    def noted(*_: Any, seed: int, **more: Any) -> Any:
+        given.append(seed)
+        raise ValueError("far enough")
+
+    monkeypatch.setattr("simscenes.transport.plan_transport", noted)
+    monkeypatch.setattr(importlib.import_module("simscenes.job.render_set"), "render_set", noted)
+    config = RenderConfig(scene="cornell", seed=7)
+    with pytest.raises(ValueError, match="far enough"):
+        rendering.plan_of(config)
+    with pytest.raises(ValueError, match="far enough"):
+        rendering.render_views(tmp_path, config, rig_of(config), "auto", QUIET)
+    assert given == [7, 7]

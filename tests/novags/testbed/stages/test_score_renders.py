@@ -154,3 +154,16 @@ def test_light_of_a_set_with_colour_filters_of_its_own_is_compared_in_srgb(tmp_p
     meta = {"kind": "rendered", "camera_matrix": filters.tolist(), "exposure_scale": 1.0}
     (tmp_path / "set" / "set.json").write_text(json.dumps(meta))
     assert score(tmp_path / "mine", tmp_path / "set", "linear")["mean"]["linear"]["linear_psnr"] > 90
+
+
+@pytest.mark.parametrize("exposure", [0.25, 3.0])
+def test_the_light_of_a_set_is_that_of_its_exposure(exposure: float, tmp_path: Path) -> None:
+    """Pictures that lie at the exposure of the set are exact, without any gain that fits them."""
+    write_cameras(tmp_path / "set", NAMES, orbit_rig(len(NAMES), 16, 12, 30.0, radius=3.0))
+    light = np.linspace(0.1, 0.3, 12)[:, None] * np.ones((12, 16))
+    for name in NAMES:
+        write_png(tmp_path / "set" / "images" / f"{name}.png", np.full((12, 16, 3), 200, np.uint8))
+        write_exr(tmp_path / "set/gt" / f"{name}.exr", {c: np.ascontiguousarray(light, np.float32) for c in "RGB"})
+    (tmp_path / "set" / "set.json").write_text(json.dumps({"kind": "rendered", "exposure_scale": exposure}))
+    found = Truth.of(tmp_path / "set", QUIET).reader("linear")(0)
+    np.testing.assert_allclose(found, np.float32(exposure * light)[..., None].repeat(3, -1), rtol=1e-6)

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,8 @@ from novags.testbed.study.cells.grid import read_study
 from novags.testbed.study.costs import Costs, default, longest_after, time_left
 from novags.testbed.study.engines.choice import OneMachine
 from novags.testbed.study.forecast import forecast
-from novags.testbed.study.plan import StudyPlan, plan_of
+from novags.testbed.study.knobs.measurement import Measurement
+from novags.testbed.study.plan import Planner, StudyPlan, plan_of
 from novags.testbed.study.simulate import makespan
 from simscenes import orbit_rig
 from simscenes.sets.multiview import write_cameras
@@ -259,3 +261,20 @@ def test_time_is_shared_by_workers_but_no_shorter_than_the_longest_chain(tmp_pat
     assert makespan(found, seconds, 2) == total / 2
     assert makespan(found, seconds, 100) == 130
     assert {round(v) for v in longest_after(found, seconds).values()} == {130, 30, 20}
+
+
+def test_programs_of_two_names_are_two_methods(tmp_path: Path) -> None:
+    """The same command: they may differ by what they find at hand."""
+    program = 'command = "true {capture} {out}"'
+    text = f'[grid]\nmethod = ["mine", "yours"]\n[method.mine]\n{program}\n[method.yours]\n{program}\n'
+    found = plan(tmp_path, text)
+    assert len({key for _, key in found.runs}) == 2
+
+
+def test_a_measurement_is_another_one_with_another_seed_setting_or_size(tmp_path: Path) -> None:
+    planner, base = Planner(tmp_path, QUIET), Measurement("sensor", (("side", 24),), "light", "float32", 0)
+    others = (replace(base, seed=1), replace(base, setting="float64"), replace(base, name="precision"),
+              replace(base, sizes=(("side", 25),)))  # fmt: skip
+    keys = [planner.measurement(one) for one in (base, *others)]
+    assert len(set(keys)) == 5
+    assert planner.measurement(base) == keys[0]

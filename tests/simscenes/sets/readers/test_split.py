@@ -87,6 +87,18 @@ def test_a_view_of_both_lists_is_held_out_and_said(tmp_path: Path) -> None:
                     "are held out"]  # fmt: skip
 
 
+def test_each_of_several_warnings_is_given(tmp_path: Path) -> None:
+    lists = {"train_filenames": listed(*range(8)), "test_filenames": listed(7, 8)}
+    folder = folder_of(tmp_path, **lists)
+    content = json.loads((folder / "transforms.json").read_text())
+    content["frames"][3]["mask_path"] = "mask.png"
+    (folder / "transforms.json").write_text(json.dumps(content))
+    said = opened(folder)[1]
+    assert len(said) == 3
+    for part in ("images/9.png", "are held out", "have a mask"):
+        assert sum(part in line for line in said) == 1
+
+
 def test_where_every_view_is_for_training_every_8th_is_held_out_and_said(tmp_path: Path) -> None:
     views, said = opened(folder_of(tmp_path, train_filenames=NAMES))
     assert views.test_indices == [0, 8]

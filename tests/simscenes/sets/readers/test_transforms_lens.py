@@ -54,6 +54,12 @@ def test_focal_lengths_come_from_pixels_else_radians_else_degrees_of_their_own_a
     np.testing.assert_allclose([K[0, 0], K[1, 1], K[0, 2], K[1, 2]], [fx, fy, WIDTH / 2, HEIGHT / 2], rtol=1e-12)
 
 
+def test_pictures_of_several_sizes_are_refused_with_an_example_of_each(tmp_path: Path) -> None:
+    write_png(folder_of(tmp_path, fl_x=33.0) / "1.png", np.zeros((HEIGHT + 1, WIDTH, 3), np.uint8))
+    with pytest.raises(ValueError, match=r"must share one size, got 40 x 30 \(0.png\), 40 x 31 \(1.png\); resize"):
+        load_set(tmp_path)
+
+
 @pytest.mark.parametrize(
     ("own", "fx", "fy"),
     [({"camera_angle_x": X}, FX, FX), ({"y_fov": degrees(Y)}, FY, FY), ({"fl_x": 25.0}, 25, 25), ({}, 99, 88),

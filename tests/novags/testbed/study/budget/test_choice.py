@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from novags.testbed.study.budget.choice import BETWEEN, Option, choice_of, choose, fastest, refined
+from novags.testbed.study.budget.choice import BETWEEN, Option, along, choice_of, choose, fastest, refined, united
 
 PARTS = ("fixed", "render", "fit")
 share = st.sampled_from((0.125, 0.25, 0.5, 1.0))
@@ -92,3 +92,23 @@ def test_between_two_measured_settings_others_follow_the_logarithm_of_their_shar
     assert found[2].factors == pytest.approx({"fit": math.sqrt(0.1)})
     assert [option.lost for option in found] == pytest.approx([2.0, 1.5, 1.0, 0.5, 0.0])
     assert [option.sd for option in found] == [0.5, 0.5, 0.5, 0.5, 0.0]
+
+
+def test_curves_of_two_methods_are_united_at_the_shares_of_either_and_their_losses_averaged() -> None:
+    """Halfway between the shares 1/4 and 1, in the logarithm, the first has lost half as much."""
+    one = [Option("x", 0.25, {"fit": 0.25}, 2.0, 0.1), Option("x", 1.0, {"fit": 1.0}, 0.0, 0.0)]
+    two = [Option("x", 0.5, {"nerf": 0.4}, 3.0, 0.3), Option("x", 1.0, {"nerf": 1.0}, 0.0, 0.0)]
+    for curves in ((one, two), (two, one)):
+        found = united(curves)
+        assert [option.share for option in found] == [0.5, 1.0]
+        assert [option.lost for option in found] == pytest.approx([2.0, 0.0])
+        assert found[0].factors == pytest.approx({"fit": 0.5, "nerf": 0.4})
+
+
+def test_a_setting_between_two_others_mixes_factors_and_losses_alike_from_either_end() -> None:
+    curve = [Option("x", 0.25, {"fit": 0.2}, 2.0, 0.1), Option("x", 1.0, {"fit": 1.0}, 0.0, 0.3)]
+    quarter = along(curve, 0.25 * 4**0.25)
+    assert quarter.factors["fit"] == pytest.approx(0.2**0.75)
+    assert (quarter.lost, quarter.sd) == (pytest.approx(1.5), 0.3)
+    assert along(curve, 0.25) == curve[0]
+    assert along(curve, 1.0) == curve[1]

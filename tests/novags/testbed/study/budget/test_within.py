@@ -288,3 +288,20 @@ def _sfm() -> Any:
     from novags.cameras import parse_cameras
 
     return parse_cameras("sfm")
+
+
+def test_a_request_is_the_same_only_with_the_same_preset_budget_and_decisions() -> None:
+    """And it asks for the curves of all its methods."""
+    request = Request(PRESET, 100.0, frozenset({"spp"}))
+    assert request.identity() == Request(PRESET, 100.0, frozenset({"spp"})).identity()
+    others = (Request(PRESET, 101.0, frozenset({"spp"})), Request(PRESET, 100.0),
+              Request(adapted(PRESET, iterations=999), 100.0, frozenset({"spp"})))  # fmt: skip
+    assert len({request.identity(), *(other.identity() for other in others)}) == 4
+
+
+def test_the_curves_of_all_methods_are_looked_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = list[set[str]]()
+    monkeypatch.setattr(module, "known", lambda folder, methods: asked.append(methods))
+    Request(adapted(EXPERIMENTS["demo"], methods=("naive", "oracle", "nova-fast")), 100.0).known()
+    assert {"naive", "oracle"} < asked[0]
+    assert len(asked[0]) == 3

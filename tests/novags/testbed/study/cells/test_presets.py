@@ -20,6 +20,7 @@ from novags.splats import FitConfig
 from novags.testbed.console import provenance
 from novags.testbed.console.terminal import Console, losses_text
 from novags.testbed.stages.configs.capturing import CaptureConfig
+from novags.testbed.stages.configs.command import CommandConfig
 from novags.testbed.stages.configs.rendering import RenderConfig
 from novags.testbed.study.cells.presets import EXPERIMENTS, Preset, adapted
 from novags.testbed.study.place import run
@@ -228,3 +229,24 @@ def test_the_page_of_curves_states_the_presets_as_they_are() -> None:
             "denoiser: width": "-".join(map(str, channels)),
         }  # fmt: skip
         assert {setting: stated[setting][f"`{name}`"] for setting in own} == {s: str(v) for s, v in own.items()}
+
+
+def test_one_seed_reaches_every_stage_of_an_experiment(tmp_path: Path) -> None:
+    preset = adapted(EXPERIMENTS["demo"], seed=7)
+    assert (preset.render.seed, preset.capture.seed) == (7, 7)
+    assert {preset.reconstruct(name).seed for name in preset.methods} == {7}
+    program = replace(preset, commands=(CommandConfig(name="mine", command="true {capture} {out}", folder=tmp_path),))
+    command = program.command("mine")
+    assert command is not None
+    assert command.seed == 7
+
+
+def test_the_seed_of_photographs_reaches_their_cameras(tmp_path: Path) -> None:
+    found = adapted(EXPERIMENTS["demo"], photos=tmp_path, seed=7)
+    assert found.photos is not None
+    assert found.photos.seed == 7
+
+
+def test_all_own_variants_are_compared() -> None:
+    own = tuple(parse_variant(f"v{i}=naive:fit.iterations={10 + i}") for i in range(3))
+    assert adapted(EXPERIMENTS["demo"], variants=own).methods[-3:] == ("v0", "v1", "v2")
