@@ -210,6 +210,7 @@ def reconstruct_views(
         "method": variant.method,
         "title": variant.title or title_of(variant.method),
         "variant": dict(variant.settings),
+        "sees_truth": method.sees_clean or method.sees_surface,
         "capture": recorded_place(folder, capture.path),
         "space": result.space,
         "enhancement": result.enhancement,
