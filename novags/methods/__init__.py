@@ -67,10 +67,10 @@ def names() -> tuple[str, ...]:
     return (*METHODS, *VARIANTS)
 
 
-def title_of(method: str) -> str:
-    """The work of a method, in a sentence, with the package or file that it comes from if that is not novags."""
-    origin = METHODS.origin_of(method)
-    return METHODS[method].title if origin is None else f"{METHODS[method].title} (from {origin})"
+def title_of(method: str, title: str = "") -> str:
+    """The work of a method, or the `title` of a variant of it, with its package or file if that is not novags."""
+    origin, said = METHODS.origin_of(method), title or METHODS[method].title
+    return said if origin is None else f"{said} (from {origin})"
 
 
 def chosen(name: str, more: Mapping[str, Variant] | None = None) -> Variant:

@@ -2,7 +2,7 @@
 
 import colorsys
 import json
-from collections.abc import Container, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
@@ -63,11 +63,11 @@ def saw_truth(run: Run) -> bool:
     return method.sees_clean or method.sees_surface
 
 
-def looks_of(names: Iterable[str], study: Mapping[str, Any], saw: Container[str] = ()) -> dict[str, Row]:
+def looks_of(names: Iterable[str], study: Mapping[str, Any], runs: Mapping[str, Run] | None = None) -> dict[str, Row]:
     """The rows of a study's methods, variants and programs, by name, in their order; also without a run.
 
     `study`: the content of its file, with the tables of its own variants and programs, and its settings for all.
-    `saw`: which of them saw the truth, for methods that are not here.
+    `runs`: one of each, of those that have any: of methods that are not here it alone knows the title.
     """
     programs = study.get("method", {})
     # Not checked as those of a study to be run: a variant may be of a method that is not here any more.
@@ -81,11 +81,14 @@ def looks_of(names: Iterable[str], study: Mapping[str, Any], saw: Container[str]
         variant = None if name in programs or not _is_known(name, variants) else chosen(name, variants)
         method = None if variant is None else METHODS[variant.method]
         used.append(distinct(OTHER if method is None else method.color, used))
-        sees = name in saw if variant is None else _sees_truth(variant, shared)
+        run = (runs or {}).get(name)
+        sees = run is not None and saw_truth(run) if variant is None else _sees_truth(variant, shared)
+        title = "" if variant is None else title_of(variant.method)
         found[name] = Row(
             name=name, key=f"m{len(found)}", method=name if variant is None else variant.method,
-            title="" if variant is None else title_of(variant.method), family="" if method is None else method.family,
-            color=used[-1], bound=None, competes=not sees, enhancement="",
+            title=title if run is None else str(run.record.get("title", title)),
+            family="" if method is None else method.family, color=used[-1], bound=None, competes=not sees,
+            enhancement="",
         )  # fmt: skip
     return found
 

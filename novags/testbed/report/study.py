@@ -16,7 +16,7 @@ from novags.testbed.folders.set import Source
 from novags.testbed.report.grid import Line, by_place, columns
 from novags.testbed.report.material import Material, RunRecords, made_of
 from novags.testbed.report.place import Place
-from novags.testbed.report.rows import looks_of, saw_truth
+from novags.testbed.report.rows import looks_of
 from novags.testbed.study.light import MEASURES, METHOD
 from sensor_model.files.records import check_shape, read_record
 
@@ -45,8 +45,8 @@ def study_material(folder: Path, path: Path) -> Material:
     if not any(row["state"] == "done" for row in rows):
         raise ValueError(f"{folder} has no finished run to show: run its study first, or with --retry-failed")
     made, lost = read_made(folder, rows)
-    saw = {each.run.name for each in made.values() if saw_truth(each.run)}
-    looks = looks_of(dict.fromkeys(str(row[METHOD]) for row in rows), study["table"], saw)
+    runs = {each.run.name: each.run for each in made.values()}
+    looks = looks_of(dict.fromkeys(str(row[METHOD]) for row in rows), study["table"], runs)
     found = Material(path, rows, axes, looks, made, places={}, study=(folder, study), unseen={}, lost=len(lost))
     opened = lru_cache(maxsize=1)(_opened)  # neighbours often share a capture, with all that was computed from it
     for members in by_place(found.lines).values():

@@ -121,7 +121,12 @@ def test_the_costs_of_a_program_are_its_own_memory(study: Path) -> None:
 def without_rows(folder: Path) -> None:
     """Runs of `naive` as if its rows had been of a package that is gone: method, enhancer, cameras and metric."""
     record = json.loads((folder / "naive" / "run.json").read_text())
-    record |= {"method": "theirs", "sees_truth": True, "cameras": {**CAMERAS, "source": "turntable:step_deg=3"}}
+    record |= {
+        "method": "theirs",
+        "title": "their method (from their-package 1.2)",
+        "sees_truth": True,
+        "cameras": {**CAMERAS, "source": "turntable:step_deg=3"},
+    }
     record["enhancement"]["enhancer"] = "times"
     record["stage"]["config"]["cameras"] = "turntable:step_deg=3"
     (folder / "naive" / "run.json").write_text(json.dumps(record))
@@ -164,6 +169,8 @@ def test_a_study_whose_variant_is_of_a_method_that_is_gone_is_reported_on(
     (folder / "study.json").write_text(json.dumps(told))
     found = page.write_study(folder)
     assert absent_rows(found) == ["method theirs", "enhancer times", "cameras turntable", "metric crispness"]
+    # The titles that the runs recorded, for want of rows.
+    assert "their method (from their-package 1.2)</dd>" in found.read_text(encoding="utf-8")
 
 
 def test_of_results_whose_rows_are_here_nothing_is_said_to_be_gone(experiment: Path) -> None:
