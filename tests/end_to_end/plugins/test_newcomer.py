@@ -2,7 +2,6 @@
 
 import os
 import re
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -11,8 +10,8 @@ from typing import get_args
 import pytest
 
 from novags.commands.new import Kind, template
+from tests.end_to_end.plugins.tree import copy_of_the_tree
 
-ROOT = Path(__file__).resolve().parents[3]
 METHODS = "novags/methods/__init__.py"
 # Kind, the new file, and the line of each table.
 ADDED = (
@@ -28,16 +27,6 @@ ADDED = (
      {"novags/testbed/metrics/__init__.py": '"mae": "novags.testbed.metrics.mae:METRIC"'}),
     ("study", "docs/studies/mine.toml", {}),
 )  # fmt: skip
-
-
-def copy_of_the_tree(folder: Path) -> None:
-    """The files that git knows, as they are."""
-    listed = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
-    for name in listed.splitlines():
-        if (ROOT / name).is_file():
-            (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy2(ROOT / name, folder / name)
-    subprocess.run(["git", "init", "-q"], cwd=folder, check=True)
 
 
 def add(folder: Path, kind: str, file: str, lines: dict[str, str]) -> None:
