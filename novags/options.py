@@ -8,7 +8,9 @@ import tyro
 
 PresetName = Literal["demo", "small", "paper"]
 Device = Literal["auto", "cpu", "cuda"]
-Listed = Literal["all", "scenes", "sensors", "methods", "levels", "presets", "cameras", "enhancers", "metrics"]
+Listed = Literal[
+    "all", "scenes", "sensors", "methods", "levels", "presets", "cameras", "enhancers", "metrics", "effects"
+]
 Folder = Annotated[Path, tyro.conf.Positional]
 Folders = Annotated[tuple[Path, ...], tyro.conf.Positional]
 Name = Annotated[str, tyro.conf.Positional]

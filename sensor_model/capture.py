@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sensor_model import effects
-from sensor_model.frame import streams
+from sensor_model.frame import own, streams
 from sensor_model.frame.prepare import Prepared, as_channels, checked, on_sensor, prepare
 from sensor_model.moments import frame_moments
 from sensor_model.params import Exposure, Sensor, require
@@ -60,7 +60,7 @@ class RawFrame:
 
 
 def clean_response(photons: ArrayLike, sensor: Sensor, exposure: Exposure) -> NDArray[np.float32]:
-    """The mean response to light, without noise, fixed pattern and rounding; it saturates.
+    """The mean response to light, without noise, fixed pattern, effects from outside and rounding; it saturates.
 
     Args:
         photons: As for `expose`; [h, w, 3] needs a sensor without colour filter array.
@@ -109,7 +109,8 @@ def expose(
         frame: Which frame of that position, 0..2**32-1.
         plan: Effects to leave out, from `plan_effects`; None simulates all. The others keep their draws.
         shot: "poisson" is exact; "normal" approximates large signals; "none" leaves shot noise out.
-        backend: "numba" is fast, "numpy" the readable reference; both give the same frame.
+        backend: "numba" is fast, "numpy" the readable reference; both give the same frame. A camera with effects from
+            outside takes the second.
         precision: "float64" uses float32 only where that gives the same codes; "float32" always does, and then up to
             one code in a million per DN of noise is off by one (Gaussian read noise, normal shot noise; "numba" only).
         threads: How many to use; None: one per core. The frame does not depend on it.
@@ -125,6 +126,8 @@ def expose(
     require(precision in get_args(Precision), "precision", f"one of {get_args(Precision)}", precision)
     photons = checked(photons, sensor)
     s = simplify(sensor, plan)
+    if s.effects:
+        backend = "numpy"
     if backend == "numpy" or s.optics:  # otherwise the kernel tests the light while it reads it
         check_light(photons, "photons")
     if plan is not None:
@@ -181,5 +184,7 @@ def read_out(charge: Array, inputs: Prepared) -> tuple[NDArray[np.uint16], NDArr
     signal = signal + effects.read_noise(inputs.draws.uniforms(held.shape, streams.READ), sigma_d, s.tukey_lambda)
     offset = 0.0 if inputs.offset is None else inputs.offset.astype(np.float64)
     signal = signal + ((inputs.rows[:, None] + inputs.columns[None, :]) + offset)
+    if s.effects:
+        signal = signal + own.added(signal, s, inputs.exposure, inputs.draws)
     dn = effects.digitise(s.gain * signal + inputs.black_dn, s.max_dn, code_width)
     return dn, full | (held >= s.mu_e_sat) | (dn == s.max_dn)

@@ -1,15 +1,21 @@
-"""Every effect of the camera, and where its parts are: `docs/adding-a-sensor-effect.md` shows how to add one.
+"""Every effect of the camera: where the parts of ours are, and effects from outside.
 
-Names of functions are relative to this package. `tests/sensor_model/test_effect_list.py` goes through the list and
-fails if one of the parts is missing or disagrees with the others.
+`docs/adding-a-sensor-effect.md` shows how to add one of either kind. Names of functions are relative to this package.
+`tests/sensor_model/test_effect_list.py` goes through our rows and fails if one of the parts is missing or disagrees
+with the others.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
+
+from sensor_model.files.registry import Registry
 
 # Fields of `Sensor` that describe the camera itself: without them there would be no frame.
 STRUCTURAL = ("gain", "eta", "black_level", "bits", "cfa", "rgb_response", "serial")
+ELSEWHERE = ("effects",)  # the effects from outside, which have no field of their own
 SHARED = "shared"  # the numba chain takes the result of the numpy code: a map, a line, or the whole charge
 
 
@@ -24,7 +30,34 @@ class EffectParts:
     in_noise: bool = True  # part of `noise.NoiseCurve`; False for outliers, and for effects of saturated pixels alone
 
 
-EFFECT_LIST: dict[str, EffectParts] = {  # by the name that plans use, in the order of the signal chain
+@dataclass(frozen=True, kw_only=True)
+class OwnEffect:
+    """One effect from outside: electrons that it adds to the signal of each pixel, between the read noise and the ADC.
+
+    Its functions take `pixels`, a `frame.own.Pixels`, and `settings`, an instance of `config`; results may be of any
+    shape that broadcasts to the signal's. What it adds may depend on the signal, and must not be correlated with the
+    signal's noise. `novags.testing.assert_effect` holds the functions against each other.
+
+    Attributes:
+        title: One line, for lists and plans.
+        config: Frozen dataclass of its settings, with defaults; the numbers in `[effects.NAME]` of a camera's file.
+        sample: (signal, pixels, settings) -> electrons that it adds to this frame, whose signal is [h, w, c], e-.
+        mean: (signal, pixels, settings) -> electrons that it adds on average over frames of this mean signal, e-.
+        variance: (signal, pixels, settings) -> what it adds to the variance over frames, e-**2, finite and >= 0.
+        cost: (signal, kept, exposure, settings) -> two numbers for each of some mean signals [n], e-, at which every
+            plan keeps the variance `kept` [n], e-**2: the relative error of the standard deviation, and the error of
+            the mean, e-, that leaving it out makes in the worst pixel at most.
+    """
+
+    title: str
+    config: type[Any]
+    sample: Callable[..., Any]
+    mean: Callable[..., Any]
+    variance: Callable[..., Any]
+    cost: Callable[..., Any]
+
+
+OURS: dict[str, str | EffectParts | OwnEffect] = {  # by the name that plans use, in the order of the signal chain
     "vignetting": EffectParts(
         fields=("optics.corner_angle", "optics.falloff", "optics.sensor_shape"),
         sampled="frame.pattern.illumination_map",
@@ -107,3 +140,5 @@ EFFECT_LIST: dict[str, EffectParts] = {  # by the name that plans use, in the or
     ),
     "black_bias": EffectParts(fields=("rgb_bias",), sampled="frame.prepare._black", moments="frame.prepare._black"),
 }
+
+EFFECT_LIST: Registry[EffectParts | OwnEffect] = Registry(OURS, "novags.effects", OwnEffect)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy import special
 
 from sensor_model import effects
-from sensor_model.frame import pattern
+from sensor_model.frame import own, pattern
 from sensor_model.frame.interpixel import held_moments
 from sensor_model.frame.prepare import Prepared
 from sensor_model.params import Sensor
@@ -40,6 +40,10 @@ def frame_moments(inputs: Prepared, shot: str = "poisson") -> tuple[Array, Array
 
     charge_variance = np.zeros_like(mu) if shot == "none" else mu
     mean_e, variance_e = response_moments(mu, charge_variance, s.droop)
+    if s.effects:
+        signal = np.minimum(mean_e, s.mu_e_sat * (1 - s.nonlinearity)).reshape(inputs.light.shape)
+        more, spread = (part.ravel() for part in own.moments(signal, s, inputs.exposure))
+        base, extra = base + s.gain * more, extra + spread
     mean = base + s.gain * mean_e
     read_sd = s.gain * np.sqrt(s.sigma_d**2 + extra)
     variance = s.gain**2 * variance_e + read_sd**2

@@ -7,6 +7,7 @@ of the response there, s**2 = 1 - 4 (a / K) x:
     variance = s**2 K y                                             shot noise, through a bent response
              + K**2 (sigma_d**2 + sigma_row**2 + sigma_column**2 + banding**2 / 2) + 1/12    readout, rounding
              + K**2 dsnu**2 + s**2 prnu**2 (y - K dark_e)**2        fixed pattern
+             + effects from outside, as a quadratic of y: `frame.own.curve`
 
 Dark charge raises the mean, so its shot noise is part of K y. Left out: near black and white clipping lowers the
 variance; hot and telegraph pixels are outliers, not noise of every pixel; row, column and banding noise count in full,
@@ -22,6 +23,7 @@ from math import inf, nan
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sensor_model.frame import own
 from sensor_model.isp import DEMOSAIC, LINEAR16_BLACK, Demosaic, white_balance
 from sensor_model.params import Exposure, Sensor, require
 from sensor_model.plan import Plan
@@ -128,17 +130,21 @@ def raw_noise(
     readout = s.sigma_d**2 + lines + (s.dsnu**2 if fixed_pattern else 0.0)
     offset = s.gain**2 * readout + _rounding(s, lines) + response * dark**2
     slope = s.gain * blur * shot - 2 * response * dark
+    start, further = own.curve(s, exposure, fixed_pattern)  # in electrons
+    offset, slope = offset + s.gain**2 * further[0], slope + s.gain * further[1]
+    quadratic = response + further[2]
     bend = Bend(factor=(s.droop / s.gain,) * channels, offset=(response * dark**2,) * channels) if s.droop else None
     low = s.dual_gain
     step = s.gain**2 * (low.sigma_d**2 - s.sigma_d**2) + (low.ratio**2 - 1) / 12 if low else 0.0
-    black = [s.black_level + bias for bias in (s.rgb_bias if channels == 3 else s.rgb_bias[1:2])]
+    biases = s.rgb_bias if channels == 3 else s.rgb_bias[1:2]
+    black = [s.black_level + bias + s.gain * start for bias in biases]
     switch = s.gain * (low.threshold - s.droop * min(low.threshold, s.mu_e_sat) ** 2) if low else inf
     return NoiseCurve(
         black=tuple(black),
         white=(s.white_dn,) * channels,
-        offset=(offset,) * channels,
-        slope=(slope,) * channels,
-        quadratic=(response,) * channels,
+        offset=(float(offset),) * channels,
+        slope=(float(slope),) * channels,
+        quadratic=(float(quadratic),) * channels,
         switch=tuple(b + switch for b in black),
         step=(step,) * channels,
         bend=bend,
@@ -147,7 +153,7 @@ def raw_noise(
 
 def _rounding(s: Sensor, lines: float) -> float:
     """1/12 DN**2; nothing where whole electrons are whole codes and no other noise comes between."""
-    silent = s.sigma_d == 0 and lines == 0 and s.dsnu == 0 and s.droop == 0 and s.coupling == 0
+    silent = s.sigma_d == 0 and lines == 0 and s.dsnu == 0 and s.droop == 0 and s.coupling == 0 and not s.effects
     return 0.0 if silent and s.gain % 1 == 0 and s.black_level % 1 == 0 else 1 / 12
 
 

@@ -6,9 +6,10 @@ capacity; EMVA's K is spelled `gain` and is always DN/e-. Noise amplitudes are i
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from math import isfinite
-from typing import Literal
+from typing import Any, Literal
 
 Cfa = Literal["RGGB", "GRBG", "GBRG", "BGGR"]
 CFAS: tuple[Cfa, ...] = ("RGGB", "GRBG", "GBRG", "BGGR")
@@ -141,6 +142,7 @@ class Sensor:
     defects: Defects | None = None
     optics: SensorOptics | None = None
     dual_gain: DualGain | None = None
+    effects: Mapping[str, Mapping[str, Any]] = field(default_factory=dict, hash=False)  # from outside: their settings
     serial: int = 0  # which copy of this camera: seeds the fixed pattern
 
     def __post_init__(self) -> None:
@@ -171,6 +173,8 @@ class Sensor:
         require(ok, "rgb_response", f"three numbers in {1 / LARGEST:g}..{LARGEST:g} with green = 1", response)
         require(len(bias) == 3 and all(map(isfinite, bias)), "rgb_bias", "three finite numbers, DN", bias)
         require(0 <= self.serial < 2**64, "serial", "in [0, 2**64)", self.serial)
+        ok = isinstance(self.effects, Mapping) and all(isinstance(of, Mapping) for of in self.effects.values())
+        require(ok, "effects", "settings of each effect, by its name", self.effects)
 
     @property
     def max_dn(self) -> int:

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sensor_model.effects import excess_kurtosis
+from sensor_model.frame import own
 from sensor_model.params import Exposure, Sensor, require
 from sensor_model.plan import Effect, Plan
 
@@ -79,7 +80,8 @@ def plan_effects(sensor: Sensor, exposure: Exposure, signal_e: ArrayLike, tolera
         _decided("read_noise", True, _ratio(sensor.sigma_d**2, 2 * dark), limits.sd, SD, "never left out"),
     ]
     most = _most_charge(sensor, exposure, high, limits)
-    clips = _sd_to_white(sensor, most, limits) < CLEAR or _sd_to_black(sensor, low, limits) < CLEAR
+    lower = own.reach(sensor, exposure, low, CLEAR)
+    clips = _sd_to_white(sensor, most, limits) < CLEAR or _sd_to_black(sensor, low, lower, limits) < CLEAR
     exempt = "near clipping" if clips else "codes are coarser than the noise" if _is_coarse(sensor, low, most) else None
     chosen, spent = _choose(_costs(sensor, exposure, low, high, limits), budgets, exempt)
     effects = (*always, *chosen, *_shapes(sensor, low, most, limits, exempt is not None))
@@ -110,7 +112,8 @@ def kept_variance(sensor: Sensor, signal_e: float) -> float:
 def _most_charge(s: Sensor, exposure: Exposure, high: float, limits: Limits) -> float:
     """Mean charge of the fullest pixel: the brightest light on the most sensitive pixel, plus dark charge. e-."""
     peak = max(1.0, *s.optics.falloff) if s.optics and s.optics.falloff else 1.0
-    return peak * high * (1 + CLEAR * s.prnu) + s.dark_e(exposure) + _hot_e(s, exposure, limits)
+    charge = peak * high * (1 + CLEAR * s.prnu) + s.dark_e(exposure) + _hot_e(s, exposure, limits)
+    return charge + own.reach(s, exposure, min(charge, s.capacity_e), CLEAR)
 
 
 def _hot_e(s: Sensor, exposure: Exposure, limits: Limits) -> float:
@@ -170,6 +173,10 @@ def _costs(s: Sensor, exposure: Exposure, low: float, high: float, limits: Limit
     shown = 4 * s.coupling * (most - low)  # of any charge, a hot pixel's too
     # it also smooths the noise: (1 - 4 c)**2 + 4 c**2 of the variance, 1 - 4 c of the deviation
     costs["coupling"] = ({SD: 4 * s.coupling + shown**2 / bright, BIAS: s.gain * shown}, "at the strongest edge")
+    levels = np.geomspace(low + 1, high + 1, 9) - 1
+    least = np.array([_least_kept(s, level, most) for level in levels])
+    for name, (sd, mean, title) in own.costs(s, exposure, levels, least).items():
+        costs[name] = ({SD: sd, BIAS: s.gain * mean}, title)
     return costs
 
 
@@ -198,8 +205,9 @@ def _sd_to_white(s: Sensor, charge_e: float, limits: Limits) -> float:
     return _ratio(s.capacity_e - charge_e, sqrt(_whole_variance(s, charge_e, limits)))
 
 
-def _sd_to_black(s: Sensor, charge_e: float, limits: Limits) -> float:
-    room = (s.black_level + min(s.rgb_bias)) / s.gain + charge_e
+def _sd_to_black(s: Sensor, charge_e: float, lower: float, limits: Limits) -> float:
+    """Of a pixel that effects from outside bring lower by so many electrons."""
+    room = (s.black_level + min(s.rgb_bias)) / s.gain + charge_e - lower
     return _ratio(room, sqrt(_whole_variance(s, charge_e, limits)))
 
 
@@ -224,7 +232,9 @@ def _whole_variance(s: Sensor, charge_e: float, limits: Limits) -> float:
 
 def simplify(sensor: Sensor, plan: Plan | None) -> Sensor:
     """The camera without the effects its plan leaves out; the others do not change."""
-    off = {effect.name for effect in plan.effects if not effect.on} if plan else ()
+    off = {effect.name for effect in plan.effects if not effect.on} if plan else set[str]()
+    if off & sensor.effects.keys():
+        sensor = replace(sensor, effects={name: of for name, of in sensor.effects.items() if name not in off})
     for name, without in REMOVE.items():
         if name in off:
             sensor = without(sensor)

@@ -11,6 +11,7 @@ from novags.testing.assertions import assert_depth as assert_depth
 from novags.testing.assertions import assert_noise as assert_noise
 from novags.testing.assertions import assert_poses as assert_poses
 from novags.testing.assertions import assert_scores as assert_scores
+from novags.testing.effects import assert_effect as assert_effect
 from novags.testing.fixtures import dark_capture as dark_capture
 from novags.testing.fixtures import novags_store as novags_store
 from novags.testing.known import DarkCapture as DarkCapture

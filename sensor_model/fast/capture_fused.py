@@ -44,7 +44,17 @@ def capture(
     read = (*map(float, (s.mu_e_sat, s.droop, s.sigma_d / scale, s.tukey_lambda or 0, s.gain, s.max_dn)), *merge)
     given = [m is not None for m in maps]
     single = precision == "float32"
-    before = (light, response, dark, *given[:2], s.eta, inputs.dark_e, charge_cap(s), SHOTS[shot], single)
+    before = (
+        light,
+        response,
+        dark,
+        *given[:2],
+        s.eta,
+        inputs.dark_e,
+        charge_cap(s, inputs.exposure),
+        SHOTS[shot],
+        single,
+    )
     after = (offset, given[2], inputs.rows, columns, inputs.black, read, *_noise(read, s.tukey_lambda, single))
     where = (*inputs.draws.origin, *address(inputs.draws))
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import asdict, fields
 from difflib import get_close_matches
 from math import inf
 from pathlib import Path
@@ -17,6 +18,7 @@ from sensor_model.files.door import read_bytes
 from sensor_model.files.lock import dry
 from sensor_model.files.reading import reading
 from sensor_model.files.toml_file import read_toml
+from sensor_model.frame import own
 from sensor_model.params import CFAS, Banding, Defects, DualGain, Sensor, SensorOptics, require
 
 PARTS: dict[str, type] = {"banding": Banding, "defects": Defects, "optics": SensorOptics, "dual_gain": DualGain}
@@ -25,20 +27,36 @@ TRUTH = {"blooming"}
 TEXT = {"cfa"}
 TABLES = {"psf"}
 LISTS = {"rgb_response", "rgb_bias", "falloff", "sensor_shape"}
+EFFECTS = "effects"
 
 
 def read_sensor(path: str | os.PathLike[str]) -> Sensor:
     """Read a camera.
 
     Args:
-        path: TOML file; keys are the fields of `Sensor`. `cfa = "none"` is a sensor without colour filter array.
+        path: TOML file; keys are the fields of `Sensor`. `cfa = "none"` is a sensor without colour filter array. With
+            `preset`, the name of one of `PRESETS`, the file says in what the camera differs from it. `[effects.NAME]`
+            holds the settings of an effect from outside.
 
     Raises:
         ValueError: for text that is not TOML, an unknown or missing key, a value of the wrong type or out of range; the
             message names the file and the key. The same for a file that cannot be read.
     """
     with reading(path, "correct it"):
-        return sensor_from_dict(read_toml(path))
+        data = read_toml(path)
+        sensor = sensor_from_dict(_preset(data.pop("preset")) | data if "preset" in data else data)
+        own.check(sensor)
+        return sensor
+
+
+def _preset(name: Any) -> dict[str, Any]:
+    """The fields of a preset."""
+    from sensor_model.presets import PRESETS
+
+    near = get_close_matches(str(name), PRESETS, n=1)
+    hint = f"did you mean {near[0]!r}?" if near else "see novags list sensors"
+    require(isinstance(name, str) and name in PRESETS, "preset", "the name of a camera", name, hint)
+    return asdict(PRESETS[name])
 
 
 def sensor_from_dict(data: Mapping[str, Any]) -> Sensor:
@@ -67,6 +85,8 @@ def write_sensor(path: str | os.PathLike[str], sensor: Sensor, *, comment: str =
     for part in PARTS:
         if (value := getattr(sensor, part)) is not None:
             lines += ["", f"[{part}]", *_assignments(value)]
+    for name, settings in sensor.effects.items():
+        lines += ["", f'[{EFFECTS}."{name}"]', *(f"{key} = {_literal(value)}" for key, value in settings.items())]
     content = "\n".join([*lines, ""]).encode()
     if not overwrite and Path(path).exists() and read_bytes(path) != content:
         raise ValueError(
@@ -92,6 +112,8 @@ def _value(key: str, value: Any, prefix: str) -> Any:
     if key in PARTS and not prefix:
         require(isinstance(value, dict), key, "a table", value)
         return PARTS[key](**_values(PARTS[key], value, f"{key}."))
+    if key == EFFECTS:
+        return _effects(value)
     if key in LISTS:
         require(
             isinstance(value, (list, tuple)) and all(map(_is_number, value)), prefix + key, "a list of numbers", value
@@ -119,6 +141,17 @@ def _value(key: str, value: Any, prefix: str) -> Any:
     return value if whole else float(value)
 
 
+def _effects(tables: Any) -> dict[str, dict[str, Any]]:
+    """The settings of each effect from outside, which checks them itself."""
+    require(isinstance(tables, dict), EFFECTS, "a table", tables)
+    for name, settings in tables.items():
+        require(isinstance(settings, dict), f"{EFFECTS}.{name}", "a table", settings)
+        for key, value in settings.items():
+            ok = isinstance(value, (bool, str)) or _is_number(value)
+            require(ok, f"{EFFECTS}.{name}.{key}", "a number, text, true or false", value)
+    return {name: dict(settings) for name, settings in tables.items()}
+
+
 def _is_number(value: Any) -> bool:
     # A whole number of TOML or JSON can have any length; beyond float64 it is as good as infinite.
     number = isinstance(value, (int, float)) and not isinstance(value, bool)
@@ -126,7 +159,7 @@ def _is_number(value: Any) -> bool:
 
 
 def _assignments(owner: Any) -> list[str]:
-    values = {f.name: getattr(owner, f.name) for f in fields(owner) if f.name not in PARTS}
+    values = {f.name: getattr(owner, f.name) for f in fields(owner) if f.name not in (*PARTS, EFFECTS)}
     # TOML has no null: fields that are None are left out, except for the colour filter array, whose default is not None
     return [f"{name} = {_literal(value)}" for name, value in values.items() if value is not None or name in TEXT]
 
@@ -140,4 +173,5 @@ def _literal(value: Any) -> str:
         return "true" if value else "false"
     if isinstance(value, tuple):
         return f"[{', '.join(map(_literal, value))}]"
-    return f'"{value}"' if isinstance(value, str) else repr(value)  # repr of a float reads back exactly; inf is TOML
+    # JSON's text is TOML's too; repr of a float reads back exactly, and inf is TOML
+    return json.dumps(value) if isinstance(value, str) else repr(value)

@@ -27,7 +27,7 @@ from sensor_model.files.door import read_bytes
 from sensor_model.files.own import cache_folder, own_folder
 from sensor_model.files.reading import brief
 
-GROUPS = ("novags.methods", "novags.enhancers", "novags.cameras", "novags.scenes", "novags.metrics")
+GROUPS = tuple(f"novags.{table}" for table in ("methods", "enhancers", "cameras", "scenes", "metrics", "effects"))
 VARIABLE = "NOVAGS_PLUGINS"  # tells a worker the files of its parent by content, and which packages must be there
 LARGEST = 90_000  # bytes of all files, packed: Linux takes variables of 128 KiB
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,99}")  # of a row: it is part of names of folders

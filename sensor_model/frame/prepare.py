@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sensor_model import effects
-from sensor_model.frame import pattern, streams
+from sensor_model.frame import own, pattern, streams
 from sensor_model.mosaicking import channel_index
 from sensor_model.params import LARGEST, Exposure, Sensor, require
 
@@ -20,6 +20,7 @@ class Prepared:
     """Everything that one frame is computed from; [h, w, c] with c = 1 or 3."""
 
     sensor: Sensor
+    exposure: Exposure
     draws: streams.Draws
     light: NDArray  # mean photons on each photodiode [h, w, c]
     response: NDArray[np.float32] | None  # PRNU [h, w, c]
@@ -37,7 +38,7 @@ class Prepared:
         dark = self.dark_e if self.dark is None else self.dark.astype(np.float64)
         with np.errstate(over="ignore"):  # an overflow to infinity is as full as the cap
             mu_e = effects.collect(self.light.astype(np.float64), eta=self.sensor.eta, response=response, dark_e=dark)
-        return np.minimum(mu_e, charge_cap(self.sensor))
+        return np.minimum(mu_e, charge_cap(self.sensor, self.exposure))
 
     @property
     def black_dn(self) -> Array:
@@ -57,6 +58,7 @@ def prepare(
     offset = pattern.offset_map(s.serial, s.dsnu, *where) if s.dsnu else None
     return Prepared(
         sensor=s,
+        exposure=exposure,
         draws=draws,
         light=light,
         response=pattern.response_map(s.serial, s.prnu, *where) if s.prnu else None,
@@ -81,7 +83,7 @@ def on_sensor(light: NDArray, sensor: Sensor, exposure: Exposure) -> NDArray:
     return effects.crosstalk(light, o.crosstalk) if o.crosstalk else light
 
 
-def charge_cap(sensor: Sensor) -> float:
+def charge_cap(sensor: Sensor, exposure: Exposure) -> float:
     """A mean charge so far over saturation that every frame is full; keeps bright light within the Poisson sampler."""
     if sensor.blooming and np.isfinite(sensor.mu_e_sat):
         return streams.SIDE * sensor.mu_e_sat  # the excess goes elsewhere: enough to fill the longest column
@@ -89,7 +91,7 @@ def charge_cap(sensor: Sensor) -> float:
     read = s.sigma_d * (s.defects.rts_factor if s.defects else 1) + (s.dual_gain.sigma_d if s.dual_gain else 0)
     noise = read + s.sigma_row + s.sigma_column + s.dsnu + (s.banding.amplitude if s.banding else 0)
     lowest = min(-min(0.0, *s.rgb_bias) / s.gain, LARGEST)  # no light at all shows over a black that is lower yet
-    top = s.capacity_e / (1 - s.nonlinearity) + 20 * noise + lowest
+    top = s.capacity_e / (1 - s.nonlinearity) + 20 * noise + lowest + own.reach(s, exposure, s.capacity_e)
     return top + 10 * float(np.sqrt(top)) + 100
 
 

@@ -2,15 +2,16 @@
 
 Philox 4x32-10 (Salmon et al., "Parallel random numbers: as easy as 1, 2, 3", SC 2011) maps a counter and a key to
 128 random bits. Key: the seed. Counter: (row << 16 | column // 2, effect and channel, view, frame); of the bits, an
-even column takes the first half and its odd neighbour the second. Nothing is hashed, so two different draws never share
-a counter; no draw depends on another one, on the thread count, or on the size of the frame. Row blocks therefore need
-no alignment, and a crop, at any offset, equals the same crop of the whole; a colour filter array begins at the crop's
-own first pixel. Effects that reach across pixels (crosstalk, point spread, coupling, blooming) take the border of the
-crop for the sensor's.
+even column takes the first half and its odd neighbour the second. Only the names of effects from outside are hashed, so
+two different draws of ours never share a counter; no draw depends on another one, on the thread count, or on the size
+of the frame. Row blocks therefore need no alignment, and a crop, at any offset, equals the same crop of the whole; a
+colour filter array begins at the crop's own first pixel. Effects that reach across pixels (crosstalk, point spread,
+coupling, blooming) take the border of the crop for the sensor's.
 """
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,6 +22,8 @@ from sensor_model.params import require
 # One stream per effect. The last four belong to the camera, not to the frame.
 SHOT, READ, ROW, COLUMN, BANDING, RTS, DSNU, PRNU, HOT, RTS_SITE = range(10)
 
+FREE = 1 << 10  # streams from here on belong to effects from outside
+
 ROUNDS = 10
 MULTIPLIERS = (0xD2511F53, 0xCD9E8D57)
 WEYL = (0x9E3779B9, 0xBB67AE85)
@@ -29,6 +32,12 @@ SIDE = 1 << 16  # rows and columns are numbered in 16 bits each
 CHANNELS = 4  # room for the channel in the counter's second word
 
 Words = tuple[NDArray[np.uint64], NDArray[np.uint64], NDArray[np.uint64], NDArray[np.uint64]]
+
+
+def named(name: str) -> int:
+    """The stream of this name. Two names share one with a probability of 1e-9."""
+    number = int.from_bytes(hashlib.blake2b(name.encode(), digest_size=8).digest(), "big")
+    return FREE + number % (2**32 // CHANNELS - FREE)
 
 
 def philox(counter: Words, key: tuple[int, int]) -> Words:

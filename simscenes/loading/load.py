@@ -14,7 +14,7 @@ from sensor_model.files.door import read_bytes, resolved
 from sensor_model.files.reading import brief
 from simscenes.backend import COLORS, using_variant
 from simscenes.loading.checks.complete import check_complete
-from simscenes.loading.checks.meshes import check_faces
+from simscenes.loading.checks.meshes import check_faces, check_texture_coordinates
 from simscenes.loading.checks.physical import check_parameters, scene_extent
 from simscenes.loading.checks.trial import check_survives
 from simscenes.loading.checks.untrusted import check_plugin, check_xml, searching_first, searching_only
@@ -28,6 +28,7 @@ from simscenes.loading.reference import SceneLike, SceneRef
 from simscenes.scenes import build
 
 OLD = re.compile(rb"<scene\s+version\s*=\s*[\"']0\.")
+NOT_TRIANGLES = re.compile("trailing tokens|is this a triangle mesh")
 DEMANDS = re.compile("spectral|polarized")  # in the messages of plugins that cannot do without
 
 
@@ -87,9 +88,9 @@ def build_scene(scene: SceneLike | SceneRef, mi: Any, *, allow_outside: bool = F
             reason is in the message) or crashes on it, the scene has no shapes, or one of its numbers is not physical.
     """
     source = SceneRef.of(scene)
-    if source.path is not None and not allow_outside:
-        files = check_xml(source.path, parameters=source.parameters)
-        check_survives(source.path, files, mi.variant(), source.parameters)
+    if source.path is not None:
+        files = check_xml(source.path, allow_outside=allow_outside, parameters=source.parameters)
+        check_survives(source.path, files, mi.variant(), source.parameters, allow_outside=allow_outside)
     return load_here(source, mi, allow_outside=allow_outside)
 
 
@@ -134,6 +135,7 @@ def load_here(source: SceneRef, mi: Any, *, allow_outside: bool = False) -> Load
     extent = scene_extent(loaded)
     params = parameters_in(loaded, mi)
     check_faces(params)
+    check_texture_coordinates(loaded, mi)
     check_parameters(loaded, params, mi)
     painted = unique_materials(loaded, mi)  # includes shapes within groups, which get their names only here
     named = list(dict.fromkeys([*loaded.shapes(), *painted]))
@@ -161,6 +163,9 @@ def load_here(source: SceneRef, mi: Any, *, allow_outside: bool = False) -> Load
 
 def _hint(said: str, source: SceneRef) -> str:
     """Advice that Mitsuba's words leave out."""
+    if "PLYMesh" in said and NOT_TRIANGLES.search(said):
+        return (" (Mitsuba reads PLY files of triangles alone, and this one seems to have faces with more corners: "
+                "triangulate it, in Blender with Triangulated Mesh in the options of the export)")  # fmt: skip
     if missing := re.search(r"undefined parameter: \$([\w.-]+)", said):
         return f" (give it a value: -D {missing[1]}=VALUE)"
     if source.path is not None and OLD.search(read_bytes(source.path)[:4096]):

@@ -47,6 +47,7 @@ def geometry_channels(mi: Any, loaded: LoadedScene, rig: Rig, i: int) -> Channel
     find = _intersect_scalar if mi.variant().startswith("scalar") else _intersect_wide
     hit, position, shading, geometric, albedo, shape, material = find(mi, loaded, origin, directions)
     facing = np.where(np.einsum("pj,pj->p", geometric, directions) > 0, -1.0, 1.0)[:, None]
+    along = np.where(np.einsum("pj,pj->p", geometric, shading) < 0, -1.0, 1.0)[:, None]  # -1 on mirrored shapes
     offset = position - origin
     z = offset @ rig.viewmats[i][2, :3]
     image = (rig.height, rig.width)
@@ -59,7 +60,7 @@ def geometry_channels(mi: Any, loaded: LoadedScene, rig: Rig, i: int) -> Channel
     # A conductor or dielectric has no diffuse reflectance; some plugins then answer nan or a lobe's density.
     albedo = np.where(np.isfinite(albedo), np.clip(albedo, 0, 1), 0)
     for name, field, axes in (
-        ("N", facing * shading, "XYZ"),
+        ("N", facing * along * shading, "XYZ"),
         ("Ng", facing * geometric, "XYZ"),
         ("albedo", albedo, "RGB"),
     ):
@@ -80,8 +81,9 @@ def check_cameras(mi: Any, loaded: LoadedScene, rig: Rig) -> None:
         small = shrunk(rig, i)
         origin, directions = pixel_rays(small, 0)
         find = _intersect_scalar if mi.variant().startswith("scalar") else _intersect_wide
-        hit, _, _, geometric, _, shape, material = find(mi, loaded, origin, directions)
-        back = hit & one_sided[material] & (np.einsum("pj,pj->p", geometric, directions) > 0)
+        hit, _, shading, _, _, shape, material = find(mi, loaded, origin, directions)
+        # Mitsuba's materials and lamps ask the shading normal, which a mirrored shape does not turn with the geometry.
+        back = hit & one_sided[material] & (np.einsum("pj,pj->p", shading, directions) > 0)
         if back.mean() > 0.5:
             names = ["", *loaded.shapes]
             inside = names[int(np.bincount(shape[back]).argmax())]

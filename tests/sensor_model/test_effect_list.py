@@ -27,11 +27,12 @@ from sensor_model import (
     plan_effects,
     raw_noise,
 )
-from sensor_model.effect_list import EFFECT_LIST, SHARED, STRUCTURAL
+from sensor_model.effect_list import EFFECT_LIST, ELSEWHERE, SHARED, STRUCTURAL, EffectParts
 from sensor_model.effects import excess_kurtosis
 from sensor_model.files.camera_file import PARTS
 from sensor_model.planner import BIAS, DISTANCE, KURTOSIS, REMOVE, ROOM, SD, SIGNAL, _costs, kept_variance
 
+FIELDS = {name: parts for name, parts in EFFECT_LIST.items() if isinstance(parts, EffectParts)}
 FRAMES = 300
 SHAPE = (12, 16)
 EXPOSURE = Exposure(time=0.5, temperature=32.0)
@@ -165,7 +166,7 @@ CASES = (
     ),
 )  # fmt: skip
 each_case = pytest.mark.parametrize("index", range(len(CASES)), ids=[case.effect for case in CASES])
-each_effect = pytest.mark.parametrize("name", list(EFFECT_LIST))
+each_effect = pytest.mark.parametrize("name", list(FIELDS))
 
 
 def take(case, sensor, frame=0, **how):
@@ -232,7 +233,7 @@ def switched(case):
 
 
 def test_every_parameter_of_the_camera_belongs_to_one_effect_or_to_the_camera_itself():
-    known = [name for parts in EFFECT_LIST.values() for name in parts.fields] + list(STRUCTURAL)
+    known = [name for parts in FIELDS.values() for name in parts.fields] + [*STRUCTURAL, *ELSEWHERE]
     plain = {f.name for f in fields(Sensor) if f.name not in PARTS}
     inside = {f"{name}.{f.name}" for name, kind in PARTS.items() for f in fields(kind)}
     assert sorted(known) == sorted(plain | inside)
@@ -240,15 +241,15 @@ def test_every_parameter_of_the_camera_belongs_to_one_effect_or_to_the_camera_it
 
 def test_planner_and_list_know_the_same_effects():
     names = plan_effects(Sensor(**BASE), EXPOSURE, 10.0).names
-    assert sorted(names) == sorted(EFFECT_LIST)
-    assert sorted(REMOVE) == sorted(set(EFFECT_LIST) - {"photon_shot", "poisson"})  # these two are settings of `expose`
+    assert sorted(names) == sorted(FIELDS)
+    assert sorted(REMOVE) == sorted(set(FIELDS) - {"photon_shot", "poisson"})  # these two are settings of `expose`
 
 
 @each_effect
 def test_the_cases_switch_every_parameter_of_the_effect_and_no_other(name):
     cases = [switched(case) for case in CASES if case.effect == name]
     assert cases
-    assert reduce(set.union, cases) == set(EFFECT_LIST[name].fields)
+    assert reduce(set.union, cases) == set(FIELDS[name].fields)
 
 
 BAD = {
@@ -257,7 +258,7 @@ BAD = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("parameter", [name for parts in EFFECT_LIST.values() for name in parts.fields])
+@pytest.mark.parametrize("parameter", [name for parts in FIELDS.values() for name in parts.fields])
 def test_every_parameter_is_validated(parameter):
     camera = next(case.cameras[0] for case in CASES if parameter in switched(case))
     part, _, name = parameter.rpartition(".")
@@ -295,7 +296,7 @@ def test_sampled_frames_have_the_analytic_mean_and_variance(index):
 @each_case
 def test_the_functions_of_the_list_are_the_ones_at_work(index, monkeypatch):
     case = CASES[index]
-    parts, camera = EFFECT_LIST[case.effect], case.cameras[0]
+    parts, camera = FIELDS[case.effect], case.cameras[0]
     assert calls(monkeypatch, parts.sampled, lambda: take(case, camera, backend="numpy"))
     assert calls(monkeypatch, parts.moments, lambda: take(case, camera).mean_dn)
     if parts.fused != SHARED:
@@ -377,7 +378,7 @@ def test_what_the_planner_says_an_effect_costs_covers_what_it_changes(index):
 
 @pytest.mark.parametrize(
     "index",
-    [i for i, c in enumerate(CASES) if c.effect in EFFECT_LIST and EFFECT_LIST[c.effect].in_noise],
+    [i for i, c in enumerate(CASES) if c.effect in FIELDS and FIELDS[c.effect].in_noise],
     ids=lambda i: CASES[i].effect,
 )
 def test_the_noise_that_methods_see_changes_as_stated(index):

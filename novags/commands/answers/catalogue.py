@@ -115,6 +115,19 @@ def metrics() -> str:
                    f"{_from(METRICS, name)}") for name, row in METRICS.items()])  # fmt: skip
 
 
+def effects() -> str:
+    """Effects of the camera; of ours the fields of a camera that set them."""
+    from sensor_model.effect_list import EFFECT_LIST, OwnEffect
+
+    rows = []
+    for name, row in EFFECT_LIST.items():
+        if isinstance(row, OwnEffect):
+            rows.append((name, f"[effects.{name}] {row.title}{_from(EFFECT_LIST, name)}"))
+        else:
+            rows.append((name, ", ".join(row.fields) or "always"))
+    return table(rows)
+
+
 def _from(rows: "Registry[Any]", name: str) -> str:
     """Where a row from outside comes from."""
     origin = rows.origin_of(name)
@@ -135,4 +148,5 @@ LISTS: dict[str, Callable[[], str]] = {
     "cameras": cameras,
     "enhancers": enhancers,
     "metrics": metrics,
+    "effects": effects,
 }

@@ -35,6 +35,7 @@ from novags.testbed.ledger.contents import folder_digest, refuse_damage
 from sensor_model.files.dng import write_dng
 from sensor_model.files.door import enter, resolved
 from sensor_model.files.records import Reads, read_once
+from sensor_model.frame import own
 from sensor_model.isp import Demosaic, develop, develop_linear, from_linear16, srgb_to_linear, white_balance
 from sensor_model.params import Cfa, Exposure, Sensor
 from simscenes.sets.multiview import MultiviewSet, load_set
@@ -115,6 +116,11 @@ class Capture:
     def sensor(self) -> Sensor | None:
         """The camera; None: of imported photographs, not known."""
         return self.record.sensor
+
+    @property
+    def modules(self) -> tuple[str, ...]:
+        """Results made from it depend on these modules, of its camera's effects from outside."""
+        return own.modules(self.sensor)
 
     @property
     def imported(self) -> Imported | None:

@@ -41,7 +41,7 @@ def denoise(
         "denoise",
         out,
         RECORD,
-        code=config.code,
+        code=config.code.along_with(capture.modules),
         opened={"capture": capture.content},
         inputs=lambda: {"capture": capture.digest()},
         config=settings,

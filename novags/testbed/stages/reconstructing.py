@@ -69,7 +69,7 @@ def reconstruct(
         f"reconstruct {config.variant.name}",
         out,
         run_folder.RECORD,
-        code=config.code.along_with(source.modules),
+        code=config.code.along_with((*source.modules, *capture.modules)),
         opened={"capture": capture.content, "set": source.content, **files_of(config)},
         inputs=lambda: {"capture": capture.digest(), "set": source.digest(), **files_of(config)},
         config=config.resolved(),

@@ -202,8 +202,8 @@ class Planner:
         parts = [name, config.sensor_name, f"{config.electrons:g}e", f"s{config.seed}"]
         return self._task(Task(
             kind="capture", key=key, name=named("-".join(parts), key), config=config, source=source,
-            needs=() if source is not None else (made_of,), group=config.sensor_name, modules=modules, work=pixels,
-            pixels=pixels, for_runs=for_runs,
+            needs=() if source is not None else (made_of,), group=config.sensor_name,
+            modules=(*modules, *config.modules), work=pixels, pixels=pixels, for_runs=for_runs,
         ))  # fmt: skip
 
     def _imported(self, folder: Path, config: ImportConfig) -> str:
@@ -222,7 +222,7 @@ class Planner:
         self.contents[key] = views
         return self._task(Task(
             kind="capture", key=key, name=named(name, key), config=config, source=folder, group="import",
-            modules=for_photographs(), work=pixels, pixels=pixels,
+            modules=config.modules, work=pixels, pixels=pixels,
         ))  # fmt: skip
 
     def _folder(self, path: Path, max_size: int | None) -> tuple[dict[str, Any], int, float, tuple[str, ...]]:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from sensor_model.files.door import opened
+from simscenes.loading.contents import surfaces_in
 from simscenes.sets.pictures.whole import DEFLATE
 
 PLY_BYTES = {"char": 1, "uchar": 1, "int8": 1, "uint8": 1, "short": 2, "ushort": 2, "int16": 2, "uint16": 2, "int": 4,
@@ -103,3 +104,34 @@ def check_faces(params: Mapping[str, Any]) -> None:
             name = "without an id" if prefix.startswith("object_") else repr(prefix)
             raise ValueError(f"a mesh {name} has {vertices} vertices, but a face names vertex "
                              f"{int(corners.max())} (counted from 0): the file is damaged")  # fmt: skip
+
+
+def check_texture_coordinates(scene: Any, mi: Any) -> None:
+    """Refuse a loaded scene with a texture on a mesh that does not say where the texture lies.
+
+    Mitsuba would take each triangle's own coordinates, and show pieces of the texture in wrong places.
+
+    Raises:
+        ValueError: If there is one.
+    """
+    placed: dict[Any, str] = {}  # the first texture of each material or lamp that has to be placed
+    for shape in surfaces_in(scene, mi):
+        if not shape.is_mesh() or shape.has_vertex_texcoords():
+            continue
+        for part in (shape.bsdf(), shape.emitter()):
+            if part is not None and part not in placed:
+                placed[part] = _placed_texture(mi.traverse(part))
+            if part is not None and placed[part]:
+                raise ValueError(f"the mesh {shape.id() or shape.class_name()!r} has no texture coordinates, and its "
+                                 f"{placed[part]} is a texture that needs them: unwrap the mesh and export it with "
+                                 "them (Blender: UV > Unwrap), or give it a colour instead")  # fmt: skip
+
+
+def _placed_texture(params: Any) -> str:
+    """The input of a material or lamp that is a texture and not the same everywhere; "" if there is none."""
+    keys = set(params.keys())
+    for name in sorted(key.removesuffix(".to_uv") for key in keys if key.endswith(".to_uv")):
+        texels = np.array(params[f"{name}.data"]) if f"{name}.data" in keys else None  # a checkerboard has none
+        if texels is None or (texels != texels[0, 0]).any():
+            return name.rpartition(".")[2]
+    return ""

@@ -65,8 +65,10 @@ def _check_share(name: str, numbers: NDArray[Any]) -> None:
     lowest, highest = float(numbers.min()), float(numbers.max())
     # 1e-4: spectra given as RGB are fitted by Mitsuba, and white comes out a rounding error above 1.
     if lowest < 0 or highest > 1 + 1e-4:
+        codes = lowest >= 0 and highest <= 255 and bool((numbers % 1 == 0).all())
+        hint = ": codes of 8 bits, which Mitsuba takes as they are; write linear light in 0..1 as floats" * codes
         raise ValueError(f"scene parameter {name} must lie in 0..1 (the share of light that a surface or medium passes "
-                         f"on), got {lowest:.6g}..{highest:.6g}")  # fmt: skip
+                         f"on), got {lowest:.6g}..{highest:.6g}{hint}")  # fmt: skip
 
 
 def scene_extent(scene: Any) -> float:

@@ -1,4 +1,6 @@
-"""A scene file nobody vouches for is loaded in a process of its own first: a crash of Mitsuba is one line here.
+"""A scene file is loaded in a process of its own first: a crash of Mitsuba is one line here.
+
+There it is also shaded in the scalar variant, which refuses what the wide variants answer with 0 (`shading`).
 
 The process stays for the next file, since it takes a second or two to start, and leaves by itself when none comes.
 Files it survived are remembered by content, so that each is tried once.
@@ -25,14 +27,15 @@ from sensor_model.files.own import remember, remembered
 from sensor_model.files.python import python
 from sensor_model.files.reading import brief
 
-FORMAT = "1"  # of the trial; scenes that passed an earlier one are tried again
+FORMAT = "2"  # of the trial; scenes that passed an earlier one are tried again
 SECONDS = 600.0  # that loading may take; a scene of a gigabyte takes one minute
 _START = "from simscenes.loading.checks.trial_process import serve; serve()"
 
 
 def check_survives(
-    scene: Path, files: Sequence[Path], variant: str, parameters: Sequence[tuple[str, str]] = ()
-) -> None:
+    scene: Path, files: Sequence[Path], variant: str, parameters: Sequence[tuple[str, str]] = (), *,
+    allow_outside: bool = False,
+) -> None:  # fmt: skip
     """Load a scene file in another process.
 
     Args:
@@ -40,16 +43,18 @@ def check_survives(
         files: All files that make up the scene, from `check_xml`.
         variant: Of Mitsuba.
         parameters: As in `SceneRef`.
+        allow_outside: As in `check_xml`.
 
     Raises:
         ValueError: If that process crashes, hangs or refuses the scene; the reason is in the message.
     """
-    identity = _identity(files, variant) + (repr(list(parameters)).encode() if parameters else b"")
+    more = repr((list(parameters), allow_outside)) if parameters or allow_outside else ""
+    identity = _identity(files, variant) + more.encode()
     name = hashlib.sha256(identity).hexdigest()[:32]
     if remembered("scenes", name):
         return
     with _ONE_AT_A_TIME:
-        problem = _PROCESSES.setdefault(variant, _Process(variant)).load(scene, parameters)
+        problem = _PROCESSES.setdefault(variant, _Process(variant)).load(scene, parameters, allow_outside)
     if problem:
         raise ValueError(brief(problem, 600))
     remember("scenes", name)
@@ -71,11 +76,11 @@ class _Process:
     variant: str
     running: subprocess.Popen[bytes] | None = None
 
-    def load(self, scene: Path, parameters: Sequence[tuple[str, str]] = ()) -> str:
+    def load(self, scene: Path, parameters: Sequence[tuple[str, str]] = (), allow_outside: bool = False) -> str:
         """Why the scene must not be loaded here; "" if nothing speaks against it."""
         try:
             # It may leave in the moment in which it is asked: then a fresh one is asked.
-            asked = {"scene": str(scene), "parameters": list(parameters)}
+            asked = {"scene": str(scene), "parameters": list(parameters), "allow_outside": allow_outside}
             answer = self._ask(asked) or self._ask(asked) or "!the process that tries it ends before it answers"
         except BaseException:  # Ctrl-C: a late answer must not be taken for the answer to the next question
             self.stop()

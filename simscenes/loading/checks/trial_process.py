@@ -23,8 +23,8 @@ DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG of Linux
 def serve() -> None:
     """Answer until standard input ends or nothing is asked for a while.
 
-    A request is a line of JSON: {"scene": path, "parameters": pairs, "variant": name, "cwd": folder, "links": where
-    links may lead}. So is an answer: the reason why the scene is refused, or "".
+    A request is a line of JSON: {"scene": path, "parameters": pairs, "allow_outside": trusted, "variant": name, "cwd":
+    folder, "links": where links may lead}. So is an answer: the reason why the scene is refused, or "".
     """
     _die_with_parent()
     # Mitsuba prints to the standard output too: answers get a copy, and everything else goes nowhere.
@@ -38,7 +38,7 @@ def serve() -> None:
             os.chdir(request["cwd"])
             os.environ[VARIABLE] = json.dumps(request["links"])  # this process may be older than the permission
             _limit_memory()
-            answer = _tried(Path(request["scene"]), request["variant"], request["parameters"])
+            answer = _tried(Path(request["scene"]), request["variant"], request["parameters"], request["allow_outside"])
         except MemoryError:
             answer = f"scene {Path(request['scene']).stem!r} needs more memory than is free"
         answers.write(json.dumps(answer) + "\n")
@@ -46,17 +46,20 @@ def serve() -> None:
     os._exit(0)  # without the clean-up of threads that may hang
 
 
-def _tried(scene: Path, variant: str, parameters: list[list[str]]) -> str:
+def _tried(scene: Path, variant: str, parameters: list[list[str]], allow_outside: bool) -> str:
     from simscenes.backend import activate
+    from simscenes.loading.checks.shading import check_shading
     from simscenes.loading.load import load_here
     from simscenes.loading.reference import SceneRef
 
+    source = replace(SceneRef.of(scene), parameters=tuple((n, v) for n, v in parameters))
     mi = activate(variant)
     try:
-        loaded = load_here(replace(SceneRef.of(scene), parameters=tuple((n, v) for n, v in parameters)), mi)
+        _look_at(load_here(source, mi, allow_outside=allow_outside).scene, mi)
+        mi = activate(f"scalar_{variant.partition('_ad_')[2] or variant.removeprefix('scalar_')}")
+        check_shading(load_here(source, mi, allow_outside=allow_outside).scene, mi)
     except ValueError as error:
         return str(error)
-    _look_at(loaded.scene, mi)
     return ""
 
 

@@ -16,7 +16,7 @@ from novags.testbed.study.cells.grid import read_study
 
 DOCS = Path(__file__).resolve().parents[3] / "docs"
 PAGES = {"method": "adding-a-method", "enhancer": "adding-an-enhancer", "camera": "adding-a-camera-source",
-         "scene": "adding-a-scene", "metric": "own-metric"}  # fmt: skip
+         "scene": "adding-a-scene", "metric": "own-metric", "effect": "adding-a-sensor-effect"}  # fmt: skip
 TINY = ("--views", "9", "--width", "24", "--height", "24", "--spp", "4", "--points", "60", "--iterations", "5")
 
 
@@ -43,11 +43,16 @@ def test_files_of_all_kinds_work_together(tmp_path: Path) -> None:
         assert "next: novags " in novags("new", kind, f"my-{kind}")
     plugins = [word for kind in PAGES for word in ("--plugin", f"my-{kind}.py")]
     novags("run", *plugins, "--scene", "my-scene", "--methods", "my-method", "my-enhancer-gs", "--cameras",
-           "my-camera:step_deg=15", "--out", "out", *TINY)  # fmt: skip
-    for method, files in (("my-method", {"my-method.py", "my-camera.py"}),
-                          ("my-enhancer-gs", {"my-enhancer.py", "my-camera.py"})):  # fmt: skip
+           "my-camera:step_deg=15", "--sensor", "my-effect.toml", "--out", "out", *TINY)  # fmt: skip
+    for method, files in (("my-method", {"my-method.py", "my-camera.py", "my-effect.py"}),
+                          ("my-enhancer-gs", {"my-enhancer.py", "my-camera.py", "my-effect.py"})):  # fmt: skip
         versions = json.loads((tmp_path / "out" / method / "run.json").read_text())["stage"]["versions"]
         assert {name for name in versions if name.endswith(".py")} == files
+    captured = json.loads((tmp_path / "out" / "capture" / "capture.json").read_text())
+    assert captured["stage"]["versions"].keys() >= {"my-effect.py"}
+    (glow,) = (effect for effect in captured["plan"]["effects"] if effect["name"] == "my-effect")
+    assert glow["on"]
+    assert re.match(r"amplifier glow \(from my-effect.py [0-9a-f]{8}\), in the plain chain", glow["reason"])
     scored = json.loads((tmp_path / "out" / "my-method" / "metrics.json").read_text())
     assert scored["stage"]["versions"]["my-metric.py"]
     assert 0 < scored["methods"]["my-method"]["mean"]["lit"]["my-metric"] < 1

@@ -176,7 +176,7 @@ def half_up(signal: Any, max_dn: int, width: Any = 1.0) -> Any:
         (effects, "nonlinear", lambda electrons, droop: electrons, "the three noise-free channels"),
         (effects, "full_well", lambda charge, full: charge, "full pixels"),
         (isp, "white_balance", lambda sensor: np.ones(3), "full pixels"),
-        (prepare, "charge_cap", lambda sensor: sensor.mu_e_sat, "light of 1e6"),
+        (prepare, "charge_cap", lambda sensor, exposure: sensor.mu_e_sat, "light of 1e6"),
         (capture, "check_light", lambda light, what: None, "light that is nan"),
     ],
 )  # fmt: skip

@@ -11,6 +11,7 @@ from novags.testbed.stages.layouts import check_layouts
 from sensor_model.files.camera_file import read_sensor
 from sensor_model.files.dng import TIMES
 from sensor_model.files.reading import brief
+from sensor_model.frame import own
 from sensor_model.isp import DEMOSAIC, Demosaic
 from sensor_model.params import Exposure, Sensor
 from sensor_model.planner import Limits
@@ -76,7 +77,12 @@ class CaptureConfig:
     @property
     def code(self) -> Code:
         """What takes it."""
-        return code_of("novags.testbed.stages.capturing")
+        return code_of("novags.testbed.stages.capturing", *self.modules)
+
+    @property
+    def modules(self) -> tuple[str, ...]:
+        """Of the camera's effects from outside: results of the capture depend on them too."""
+        return own.modules(self.camera)
 
     @property
     def noise_seed(self) -> int:

@@ -12,6 +12,7 @@ from novags.testbed.importing.stored import Codes16, Curve
 from novags.testbed.ledger.code import Code, code_of
 from novags.testbed.stages.configs.capturing import FULL_SIZE, camera_named
 from sensor_model.files.dng import TIMES
+from sensor_model.frame import own
 from sensor_model.isp import Demosaic
 from sensor_model.params import Sensor
 from sensor_model.presets import PRESETS
@@ -53,7 +54,12 @@ class ImportConfig:
     @property
     def code(self) -> Code:
         """What imports them."""
-        return code_of("novags.testbed.stages.importing", *for_photographs())
+        return code_of("novags.testbed.stages.importing", *self.modules)
+
+    @property
+    def modules(self) -> tuple[str, ...]:
+        """Results of photographs depend on these, and on the effects from outside of their camera."""
+        return (*for_photographs(), *own.modules(self.camera))
 
     @property
     def codes(self) -> Codes16:

@@ -76,19 +76,19 @@ def _score(run_path: Path, console: Console) -> dict[str, Any]:
         return {"methods": {run.name: method}, "unavailable": unavailable}
 
     return run_stage(
-        "score", run_path, METRICS, code=code_of_scores(run, lit), inputs=inputs,
+        "score", run_path, METRICS, code=code_of_scores(run, captured, lit), inputs=inputs,
         opened={"run": run.digest(), "capture": captured.content, "set": lit.content},
         config={"unavailable": sorted(lacking)}, owns=(METRICS,),
         prepare=lambda: None, work=work, console=console, overwrite=True,  # scores describe what is there now
     )  # fmt: skip
 
 
-def code_of_scores(run: Run, lit: Source) -> Code:
-    """The code that scores a run: the stage, the enhancement that its references go through, and the reader of its
-    set.
+def code_of_scores(run: Run, captured: Capture, lit: Source) -> Code:
+    """The code that scores a run: the stage, the enhancement that its references go through, the reader of its set,
+    and the camera's effects from outside.
     """
     enhancer = None if run.enhancement is None else ENHANCERS.module_of(run.enhancement["enhancer"])
-    return code_of(__name__, enhancer, *modules(), *lit.modules)
+    return code_of(__name__, enhancer, *modules(), *lit.modules, *captured.modules)
 
 
 def score_test_views(
