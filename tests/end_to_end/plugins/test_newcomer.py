@@ -25,6 +25,8 @@ ADDED = (
      {"simscenes/scenes/__init__.py": '"shelf": "simscenes.scenes.shelf:SHELF"'}),
     ("metric", "novags/testbed/metrics/mae.py",
      {"novags/testbed/metrics/__init__.py": '"mae": "novags.testbed.metrics.mae:METRIC"'}),
+    ("effect", "sensor_model/frame/glow.py",
+     {"sensor_model/effect_list.py": '"glow": "sensor_model.frame.glow:EFFECT"'}),
     ("study", "docs/studies/mine.toml", {}),
 )  # fmt: skip
 
@@ -34,8 +36,9 @@ def add(folder: Path, kind: str, file: str, lines: dict[str, str]) -> None:
     (folder / file).write_text(re.sub(r"\n\nPLUGIN = .*\n$", "\n", template(kind)))
     for table, line in lines.items():
         text = (folder / table).read_text()
-        last = list(re.finditer(r'^( +)"[\w-]+": "[\w.]+:\w+",\n', text.partition("VARIANTS")[0], re.M))[-1]
-        (folder / table).write_text(f"{text[: last.end()]}{last[1]}{line},\n{text[last.end() :]}")
+        end = re.search(r"^( *)\}.*\n", text, re.M)  # of the table, the first of the file
+        assert end is not None
+        (folder / table).write_text(f"{text[: end.start()]}{end[1]}    {line},\n{text[end.start() :]}")
 
 
 def with_additions(folder: Path) -> None:
