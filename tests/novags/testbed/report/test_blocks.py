@@ -125,10 +125,10 @@ def without_rows(folder: Path) -> None:
         "method": "theirs",
         "title": "their method (from their-package 1.2)",
         "sees_truth": True,
-        "cameras": {**CAMERAS, "source": "turntable:step_deg=3"},
+        "cameras": {**CAMERAS, "source": "carousel:step_deg=3"},
     }
     record["enhancement"]["enhancer"] = "times"
-    record["stage"]["config"]["cameras"] = "turntable:step_deg=3"
+    record["stage"]["config"]["cameras"] = "carousel:step_deg=3"
     (folder / "naive" / "run.json").write_text(json.dumps(record))
     metrics = json.loads((folder / "naive" / "metrics.json").read_text())
     metrics["methods"]["naive"]["mean"]["lit"]["crispness"] = 0.5
@@ -145,7 +145,7 @@ def test_results_whose_rows_are_gone_are_reported_on_and_the_rows_are_named(expe
     folder = Path(shutil.copytree(experiment, tmp_path / "page"))
     without_rows(folder)
     found = page.write_report(folder, QUIET)
-    assert absent_rows(found) == ["method theirs", "enhancer times", "cameras turntable", "metric crispness"]
+    assert absent_rows(found) == ["method theirs", "enhancer times", "cameras carousel", "metric crispness"]
     assert 'alt="Rendered by naive' in found.read_text(encoding="utf-8")
     (place,) = places_in([folder], QUIET)
     assert not place.rows["naive"].competes  # it saw the truth, as its record says
@@ -168,7 +168,7 @@ def test_a_study_whose_variant_is_of_a_method_that_is_gone_is_reported_on(
     told["table"]["variant"] |= {"soft": {"method": "theirs", "gain": 2}}
     (folder / "study.json").write_text(json.dumps(told))
     found = page.write_study(folder)
-    assert absent_rows(found) == ["method theirs", "enhancer times", "cameras turntable", "metric crispness"]
+    assert absent_rows(found) == ["method theirs", "enhancer times", "cameras carousel", "metric crispness"]
     # The titles that the runs recorded, for want of rows.
     assert "their method (from their-package 1.2)</dd>" in found.read_text(encoding="utf-8")
 
