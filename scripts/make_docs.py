@@ -10,6 +10,7 @@ has printed its address; `<!-- exit=2 -->`: it must fail with this code.
 
 `<!-- file NAME -->` before a block: the page's block of code with that title is written to a file of that name first.
 
+docs/gallery.md is made with a picture of every scene that has none yet; if there is one, docs/scenes.png is made again.
 The tables of docs/stability.md come from a run of the tests that hold them to their bounds; not with --cheap.
 
 MkDocs takes this file as its hook: where a page says `<!-- from README.md: HEADING -->`, the site has that section of
@@ -154,6 +155,22 @@ def hard_cases(page: Path) -> bool:
     return subprocess.run([sys.executable, "-m", "pytest", *words], cwd=ROOT).returncode == 0
 
 
+def scene_pictures() -> bool:
+    """Write the list of scenes, and pictures of new ones (minutes: the sheet has all); whether that succeeds."""
+    before = sorted((DOCS / "gallery").iterdir())
+    with tempfile.TemporaryDirectory(prefix="novags-docs-") as work:
+
+        def made_by(script: str, *words: str) -> bool:
+            line = [sys.executable, ROOT / "scripts" / script, "--work", work, *words]
+            environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+            return subprocess.run(line, cwd=ROOT, env=environment, stdout=subprocess.DEVNULL).returncode == 0
+
+        done = made_by("make_gallery.py", "--missing")
+        if done and sorted((DOCS / "gallery").iterdir()) != before:
+            done = made_by("make_scene_thumbnails.py")
+    return done
+
+
 def main() -> None:
     """Write the pages."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
@@ -165,7 +182,9 @@ def main() -> None:
         if page.name == "stability.md" and not args.cheap and not hard_cases(page.resolve()):
             failed.append(f"{page}: a hard case fails")
         before = page.read_text(encoding="utf-8")
-        text = made(before, failed, cheap_only=args.cheap)
+        if page.name == "gallery.md" and not scene_pictures():
+            failed.append(f"{page}: a picture could not be made")
+        text = made(page.read_text(encoding="utf-8"), failed, cheap_only=args.cheap)
         if text != before:
             page.write_text(text, encoding="utf-8")
             print(page.relative_to(ROOT) if page.is_relative_to(ROOT) else page, flush=True)

@@ -1,9 +1,10 @@
 """Every scene of the catalogue in good light and at four light levels: docs/gallery/NAME.jpg, and the list in the page.
 
-    python scripts/make_gallery.py [--spp 256] [--work DIR]
+    python scripts/make_gallery.py [--spp 256] [--work DIR] [--missing]
 
 One view of each scene, exposed by a real camera and brightened to the same exposure at every level. With --work the
-renders are kept there (renders of make_scene_thumbnails.py serve both).
+renders are kept there (renders of make_scene_thumbnails.py serve both). With --missing only scenes that have no picture
+yet are rendered: make_docs.py asks for that. Pictures of scenes that are gone are removed.
 """
 
 import argparse
@@ -58,11 +59,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--spp", type=int, default=256, help="samples per pixel")
     parser.add_argument("--work", type=Path, help="where renders are kept; none: they are not")
+    parser.add_argument("--missing", action="store_true", help="only scenes that have no picture yet")
     args = parser.parse_args()
     names, folder = sorted(SCENES), PAGE.parent / "gallery"
     folder.mkdir(exist_ok=True)
+    there = {path.stem for path in folder.iterdir()}
+    for name in there - set(names):
+        (folder / f"{name}.jpg").unlink()
     with tempfile.TemporaryDirectory() as temporary:
-        for name in names:
+        for name in [name for name in names if not (args.missing and name in there)]:
             radiance = render(name, VIEWS // 2, WIDTH, args.spp, args.work or Path(temporary))
             Image.fromarray(strip(radiance)).save(folder / f"{name}.jpg", quality=70)
             print(name, flush=True)

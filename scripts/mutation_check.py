@@ -44,7 +44,8 @@ ROOT = Path(__file__).resolve().parents[1]
 EXCUSED = Path(__file__).parent / "mutation" / "excused.toml"
 # Sources, and the tests that answer for them.
 GROUPS = (
-    (("novags/methods/enhancers/[!_]*.py",), ("tests/novags/methods/enhancers/test_[!r]*.py",)),
+    (("novags/methods/enhancers/[!_]*.py", "novags/methods/enhancers/networks/[!_]*.py"),
+     ("tests/novags/methods/enhancers/test_[!r]*.py", "tests/novags/methods/enhancers/networks/test_*.py")),
     (("novags/methods/nova/[!t]*.py",), ("tests/novags/methods/nova/test_[!t]*.py",)),
     (("novags/methods/nova/trainer.py", "novags/methods/enhancers/__init__.py", "novags/methods/enhanced/*.py",
       "novags/methods/*.py"),

@@ -28,7 +28,7 @@ from torch import Tensor
 
 from novags.methods.enhancers import ENHANCERS, network_of
 from novags.methods.enhancers.curves.gain import gain
-from novags.methods.enhancers.networks import Kind
+from novags.methods.enhancers.networks.kind import Kind
 from novags.methods.enhancers.rows.gain import GainConfig
 from novags.splats.files.tensors import write_tensors
 from novags.splats.training.losses import ssim

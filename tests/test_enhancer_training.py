@@ -9,8 +9,8 @@ import pytest
 import torch
 
 from novags.methods.enhancers.files.weights import read_weights
-from novags.methods.enhancers.mbllen import MBLLEN
-from novags.methods.enhancers.rows.mbllen import MbllenConfig
+from novags.methods.enhancers.networks.mbllen import MBLLEN
+from novags.methods.enhancers.networks.rows.mbllen import MbllenConfig
 from sensor_model import Sensor, linear_to_srgb, srgb_to_linear
 
 SCRIPTS = Path(__file__).resolve().parents[1] / "scripts"

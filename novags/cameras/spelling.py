@@ -23,8 +23,7 @@ def parse_settings(text: str, choices: Mapping[str, CameraSource], what: str) ->
         ValueError: If the name or a setting is unknown, a setting is given twice, has no value or is missing, or a
             value does not fit.
     """
-    name, _, rest = text.partition(":")
-    name = name.strip()
+    name, rest = source_named(text), text.partition(":")[2]
     if name not in choices:
         raise ValueError(
             f"unknown {what} {brief(repr(name), 100)}{_meant(name, choices)}; available: {', '.join(choices)}"
@@ -46,6 +45,11 @@ def parse_settings(text: str, choices: Mapping[str, CameraSource], what: str) ->
     if missing := [key for key in required if key not in found]:
         raise ValueError(f"{what} {name} needs {missing[0]}: write {name}:{missing[0]}=VALUE")
     return config(**found)
+
+
+def source_named(text: str) -> str:
+    """The name in front of the settings."""
+    return text.partition(":")[0].strip()
 
 
 def spell_settings(config: Any, choices: Mapping[str, CameraSource]) -> str:

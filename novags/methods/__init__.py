@@ -18,11 +18,11 @@ METHODS: Registry[Method] = Registry(
         "gain-gs": "novags.methods.enhancers.rows.gain:METHOD",
         "drago-gs": "novags.methods.enhancers.rows.drago:METHOD",
         "equalise-gs": "novags.methods.enhancers.rows.equalise:METHOD",
-        "zero-dce-gs": "novags.methods.enhancers.rows.zero_dce:METHOD",
-        "sci-gs": "novags.methods.enhancers.rows.sci:METHOD",
-        "mbllen-gs": "novags.methods.enhancers.rows.mbllen:METHOD",
-        "uretinex-gs": "novags.methods.enhancers.rows.uretinex:METHOD",
-        "retinexformer-gs": "novags.methods.enhancers.rows.retinexformer:METHOD",
+        "zero-dce-gs": "novags.methods.enhancers.networks.rows.zero_dce:METHOD",
+        "sci-gs": "novags.methods.enhancers.networks.rows.sci:METHOD",
+        "mbllen-gs": "novags.methods.enhancers.networks.rows.mbllen:METHOD",
+        "uretinex-gs": "novags.methods.enhancers.networks.rows.uretinex:METHOD",
+        "retinexformer-gs": "novags.methods.enhancers.networks.rows.retinexformer:METHOD",
         "denoise-gs": "novags.methods.denoised.row:METHOD",
         "luminance-gs": "novags.methods.rivals.rows.luminance_gs:METHOD",
         "lita-gs": "novags.methods.rivals.rows.lita_gs:METHOD",
@@ -67,10 +67,10 @@ def names() -> tuple[str, ...]:
     return (*METHODS, *VARIANTS)
 
 
-def title_of(method: str) -> str:
-    """The work of a method, in a sentence, with the package or file that it comes from if that is not novags."""
-    origin = METHODS.origin_of(method)
-    return METHODS[method].title if origin is None else f"{METHODS[method].title} (from {origin})"
+def title_of(method: str, title: str = "") -> str:
+    """The work of a method, or the `title` of a variant of it, with its package or file if that is not novags."""
+    origin, said = METHODS.origin_of(method), title or METHODS[method].title
+    return said if origin is None else f"{said} (from {origin})"
 
 
 def chosen(name: str, more: Mapping[str, Variant] | None = None) -> Variant:

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from simscenes.scenes import textures
+from simscenes.scenes.parts import textures
 
 Rng = np.random.Generator
 Picture = NDArray[np.float32]

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from simscenes.scenes import shapes as s
-from simscenes.scenes import textures as t
+from simscenes.scenes.parts import shapes as s
+from simscenes.scenes.parts import textures as t
 from simscenes.scenes.scene import Scene, forward
 
 

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from simscenes.scenes import shapes as s
-from simscenes.scenes import textures as t
+from simscenes.scenes.parts import shapes as s
+from simscenes.scenes.parts import textures as t
 from simscenes.scenes.scene import ROOM, Scene, orbit
 
 _CANVAS = (("b9bfb8", "a9b1ab", "949e99"), ("c9bda9", "bbae98", "a89a84"))

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from simscenes.scenes import sculpture
-from simscenes.scenes import shapes as s
-from simscenes.scenes import textures as t
+from simscenes.scenes.parts import sculpture
+from simscenes.scenes.parts import shapes as s
+from simscenes.scenes.parts import textures as t
 from simscenes.scenes.printed.pages import CHART, NOTICES, VERSES, page
 from simscenes.scenes.scene import ROOM, Scene, orbit
 

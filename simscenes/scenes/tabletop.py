@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from simscenes.scenes import shapes as s
-from simscenes.scenes import textures as t
+from simscenes.scenes.parts import shapes as s
+from simscenes.scenes.parts import textures as t
 from simscenes.scenes.scene import Scene, orbit
 
 _BRIGHT = ("1d3557", "c0392b", "f1e4c8", "457b9d", "e2a73b", "3f7d58")

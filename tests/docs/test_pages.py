@@ -165,6 +165,11 @@ def test_the_page_of_effects_has_every_effect_of_the_camera_in_its_order() -> No
     ]
 
 
+@pytest.mark.parametrize("page", [*sorted(DOCS.glob("adding-*.md")), DOCS / "own-metric.md"], ids=lambda p: p.name)
+def test_every_page_on_an_addition_names_the_command_that_makes_the_pages_again(page: Path) -> None:
+    assert "`python scripts/make_docs.py --cheap`" in page.read_text(encoding="utf-8")
+
+
 def test_the_gallery_shows_every_scene() -> None:
     text = (DOCS / "gallery.md").read_text(encoding="utf-8")
     assert re.findall(r"^\*\*(\w+)\*\*", text, re.M) == sorted(SCENES)

@@ -17,8 +17,8 @@ from novags.methods.enhancers import enhancement_record, network_of
 from novags.methods.enhancers.applying import enhanced
 from novags.methods.enhancers.choice import Enhancement
 from novags.methods.enhancers.enhancer import NETWORK
-from novags.methods.enhancers.networks import Kind, described
-from novags.methods.enhancers.rehearsal import learned
+from novags.methods.enhancers.networks.kind import Kind, described
+from novags.methods.enhancers.networks.rehearsal import learned
 from novags.methods.inputs import Pictures
 from novags.methods.problem import Problem
 from novags.methods.reconstruction import Progress, Reconstruction

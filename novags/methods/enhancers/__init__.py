@@ -1,4 +1,5 @@
-"""A dark picture in, a bright one out: one file per enhancer in `rows`, one line of text in `ENHANCERS`.
+"""A dark picture in, a bright one out: one file per enhancer in `rows` (of networks: `networks/rows`), one line of text
+in `ENHANCERS`.
 
 The functions here need no picture; `applying.py` enhances pictures.
 """
@@ -21,11 +22,11 @@ ENHANCERS: Registry[Enhancer] = Registry(
         "gain": "novags.methods.enhancers.rows.gain:ENHANCER",
         "drago": "novags.methods.enhancers.rows.drago:ENHANCER",
         "equalise": "novags.methods.enhancers.rows.equalise:ENHANCER",
-        "zero-dce": "novags.methods.enhancers.rows.zero_dce:ENHANCER",
-        "sci": "novags.methods.enhancers.rows.sci:ENHANCER",
-        "mbllen": "novags.methods.enhancers.rows.mbllen:ENHANCER",
-        "uretinex": "novags.methods.enhancers.rows.uretinex:ENHANCER",
-        "retinexformer": "novags.methods.enhancers.rows.retinexformer:ENHANCER",
+        "zero-dce": "novags.methods.enhancers.networks.rows.zero_dce:ENHANCER",
+        "sci": "novags.methods.enhancers.networks.rows.sci:ENHANCER",
+        "mbllen": "novags.methods.enhancers.networks.rows.mbllen:ENHANCER",
+        "uretinex": "novags.methods.enhancers.networks.rows.uretinex:ENHANCER",
+        "retinexformer": "novags.methods.enhancers.networks.rows.retinexformer:ENHANCER",
         "none": "novags.methods.enhancers.rows.none:ENHANCER",
     },
     "novags.enhancers",
@@ -104,6 +105,15 @@ def recorded(enhancement: dict[str, Any]) -> tuple[Enhancer, Any]:
         return ENHANCERS[name], changed(config, enhancement["config"])
     except ValueError as error:
         raise ValueError(f"the recorded settings of {name} do not fit this version ({error}): run it again") from error
+
+
+def why_not_here(enhancement: dict[str, Any]) -> str | None:
+    """Why the enhancer of a record cannot be used: of a package that is gone, or another version; None where it can."""
+    try:
+        recorded(enhancement)
+    except ValueError as error:
+        return str(error)
+    return None
 
 
 def located(enhancement: dict[str, Any], folder: Path) -> dict[str, Any]:

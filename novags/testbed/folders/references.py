@@ -91,10 +91,10 @@ def pictured(run: MethodOutcome, capture: Capture, rendered: Image) -> Image:
 
 def missing_references(run: Run, capture: Capture, lit: Source) -> dict[str, str]:
     """The references that runs of this kind usually have and this one lacks, each with the reason."""
-    found = {}
+    found = {} if run.lacks is None else {"enhanced": run.lacks}
     if not capture.holds("truth"):
         wanted = {"enhanced": run.enhancement is not None, "linear": run.space == "linear"}
-        found = {kind: MISSING["truth"] for kind, holds in wanted.items() if holds}
+        found |= {kind: MISSING["truth"] for kind, holds in wanted.items() if holds}
     if not lit.lit_known:
         found["lit"] = MISSING["lit"]
     return found

@@ -13,12 +13,13 @@ exr/NNNN.exr          of every view, float32: R G B as rendered, Z (expected dep
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from novags.methods.enhancers import located
+from novags.methods.enhancers import located, why_not_here
 from novags.methods.enhancers.enhancer import NETWORK
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders import shapes
@@ -86,7 +87,18 @@ class Run:
 
     @property
     def enhancement(self) -> dict[str, Any] | None:
-        """The enhancement of its training pictures, which the references need too; None for methods without one."""
+        """The enhancement of its training pictures, which the references need too; None for methods without one, and
+        where its enhancer is not here (see `lacks`).
+        """
+        return None if self.lacks else self._enhancement
+
+    @cached_property
+    def lacks(self) -> str | None:
+        """Why its enhancer cannot be used here, if that is so: results on disk are shown all the same."""
+        return None if self._enhancement is None else why_not_here(self._enhancement)
+
+    @property
+    def _enhancement(self) -> dict[str, Any] | None:
         found: dict[str, Any] | None = self.record["enhancement"]
         return found and located(found, self.path)
 

@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from novags.cameras import SOURCES
+from novags.cameras.spelling import source_named
 from novags.methods import METHODS, VARIANTS, chosen
 from novags.methods.variant import Variant
 from novags.testbed.folders.place import place_of
@@ -69,7 +71,9 @@ def run_again(run: Run, folder: Path, name: str | None = None) -> str | None:
     on its page, so that the result of each goes to a folder of its own; if not given, the run's own.
     """
     asked: dict[str, Any] = run.record["stage"]["config"]
-    if run.method not in METHODS or not {"points", "seed", "cameras", "config"} <= asked.keys():
+    if METHODS.get(run.method) is None or not {"points", "seed", "cameras", "config"} <= asked.keys():
+        return None
+    if SOURCES.get(source_named(str(asked["cameras"]))) is None:
         return None
     capture = os.path.relpath(place_of(run.path, run.record["capture"]), resolved(folder))
     words = ["novags", "reconstruct", capture, *_named(run.name, run.method, _with_own_weights(run, folder, asked))]

@@ -30,7 +30,8 @@ VIEWS_OF_EACH_KIND = 4  # held-out and training views shown of one place: enough
 VIEWS = 8  # of several captures together; each has one at least
 SET = "set.json"
 COST = {"seconds": float, "peak_bytes": int}
-MADE_SET: Any = {"stage?": {"name?": str, **COST}, "plan?": (shapes.PLAN, None)}
+MADE_SET: Any = {"stage?": {"name?": str, **COST, "inputs?": {"scene?": str}, "config?": {"scene?": str}},
+                 "plan?": (shapes.PLAN, None)}  # fmt: skip
 MADE_CAPTURE: Any = {"stage": COST, "set?": ({"path": PLACE}, None), "plan?": (shapes.PLAN, None), "kind?": str,
                      "signal_quantiles_e?": {"*": shapes.MEASURED}, "sensor_name?": (str, None)}  # fmt: skip
 

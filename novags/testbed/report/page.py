@@ -14,7 +14,18 @@ from novags.testbed.folders.run import RECORD
 from novags.testbed.folders.runs import EXPERIMENT, REPORT
 from novags.testbed.ledger.contents import digest, jsonable
 from novags.testbed.ledger.dry import planned
-from novags.testbed.report.blocks import configuration, cost, header, light, look, scores, signal, simulated, training
+from novags.testbed.report.blocks import (
+    absent,
+    configuration,
+    cost,
+    header,
+    light,
+    look,
+    scores,
+    signal,
+    simulated,
+    training,
+)
 from novags.testbed.report.look.album import Album, files_of
 from novags.testbed.report.material import Material, material_of
 from novags.testbed.report.parts import Block, Page
@@ -31,6 +42,7 @@ BLOCKS = (  # of every page, in this order: a block taken out here is on no page
     Block("scores", scores.scores),
     Block("light", light.light, light.light_files),
     Block("failed", configuration.failed),
+    Block("absent", absent.absent),
     Block("cameras", training.cameras),
     Block("flat", training.flat),
     Block("training", training.training),

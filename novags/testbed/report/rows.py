@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
-from novags.methods import METHODS, chosen, title_of, with_variants
+from novags.methods import METHODS, chosen, title_of
 from novags.methods.variant import STATISTICS, Variant, dotted, sees_statistics
 from novags.settings import changed, flattened, has_setting
 from novags.testbed.folders.run import Run
@@ -50,41 +50,53 @@ def rows_of(runs: Mapping[str, Run]) -> dict[str, Row]:
         rows[name] = Row(
             name=name, key=f"m{k}", method=run.method, title=title, family="" if method is None else method.family,
             color=color, bound=method.bound if method is not None and run.name == run.method else None,
-            competes=method is None
-            or not (method.sees_clean or method.sees_surface or sees_statistics(run.record.get("config"))),
+            competes=not (saw_truth(run) or sees_statistics(run.record.get("config"))),
             enhancement=enhancement_of(run),
         )  # fmt: skip
     return rows
 
 
-def looks_of(names: Iterable[str], study: Mapping[str, Any]) -> dict[str, Row]:
+def saw_truth(run: Run) -> bool:
+    """Whether the method of a run sees the truth of training views; of one that is not here, what the run recorded."""
+    if (method := METHODS.get(run.method)) is None:
+        return run.record.get("sees_truth") is True
+    return method.sees_clean or method.sees_surface
+
+
+def looks_of(names: Iterable[str], study: Mapping[str, Any], runs: Mapping[str, Run] | None = None) -> dict[str, Row]:
     """The rows of a study's methods, variants and programs, by name, in their order; also without a run.
 
     `study`: the content of its file, with the tables of its own variants and programs, and its settings for all.
+    `runs`: one of each, of those that have any: of methods that are not here it alone knows the title.
     """
     programs = study.get("method", {})
-    variants = with_variants(
-        Variant(name=name, method=str(table["method"]),
-                settings={key: value for key, value in dotted(table).items() if key != "method"})
+    # Not checked as those of a study to be run: a variant may be of a method that is not here any more.
+    variants = {
+        name: Variant(name=name, method=str(table["method"]),
+                      settings={key: value for key, value in dotted(table).items() if key != "method"})
         for name, table in study.get("variant", {}).items()
-    )  # fmt: skip
+    }  # fmt: skip
     shared, found, used = dotted(study.get("override", {})), dict[str, Row](), list[str]()
     for name in names:
         variant = None if name in programs or not _is_known(name, variants) else chosen(name, variants)
         method = None if variant is None else METHODS[variant.method]
         used.append(distinct(OTHER if method is None else method.color, used))
+        run = (runs or {}).get(name)
+        sees = run is not None and saw_truth(run) if variant is None else _sees_truth(variant, shared)
+        title = "" if variant is None else title_of(variant.method)
         found[name] = Row(
             name=name, key=f"m{len(found)}", method=name if variant is None else variant.method,
-            title="" if variant is None else title_of(variant.method), family="" if method is None else method.family,
-            color=used[-1], bound=None, competes=variant is None or not _sees_truth(variant, shared), enhancement="",
+            title=title if run is None else str(run.record.get("title", title)),
+            family="" if method is None else method.family, color=used[-1], bound=None, competes=not sees,
+            enhancement="",
         )  # fmt: skip
     return found
 
 
 def _is_known(name: str, variants: Mapping[str, Variant]) -> bool:
-    """Whether there is such a method here; a study may have one of a plugin."""
+    """Whether there is such a method here; a study may have one of a plugin, or of a package that is broken now."""
     with suppress(ValueError):
-        return chosen(name, variants).method in METHODS
+        return METHODS.get(chosen(name, variants).method) is not None
     return False
 
 

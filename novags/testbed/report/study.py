@@ -44,8 +44,9 @@ def study_material(folder: Path, path: Path) -> Material:
     study = read_record(folder / STUDY, FILE, AGAIN)
     if not any(row["state"] == "done" for row in rows):
         raise ValueError(f"{folder} has no finished run to show: run its study first, or with --retry-failed")
-    looks = looks_of(dict.fromkeys(str(row[METHOD]) for row in rows), study["table"])
     made, lost = read_made(folder, rows)
+    runs = {each.run.name: each.run for each in made.values()}
+    looks = looks_of(dict.fromkeys(str(row[METHOD]) for row in rows), study["table"], runs)
     found = Material(path, rows, axes, looks, made, places={}, study=(folder, study), unseen={}, lost=len(lost))
     opened = lru_cache(maxsize=1)(_opened)  # neighbours often share a capture, with all that was computed from it
     for members in by_place(found.lines).values():

@@ -208,8 +208,9 @@ def reconstruct_views(
     return {
         "name": variant.name,
         "method": variant.method,
-        "title": variant.title or title_of(variant.method),
+        "title": title_of(variant.method, variant.title),
         "variant": dict(variant.settings),
+        "sees_truth": method.sees_clean or method.sees_surface,
         "capture": recorded_place(folder, capture.path),
         "space": result.space,
         "enhancement": result.enhancement,

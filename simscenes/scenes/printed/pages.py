@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from simscenes.scenes import textures as t
-from simscenes.scenes.remembered import remembered
+from simscenes.scenes.parts import textures as t
+from simscenes.scenes.parts.remembered import remembered
 
 FONT = Path(__file__).with_name("DejaVuSerif-Bold.ttf")  # LICENSE_DEJAVU beside it allows to pass it on
 MARGIN = 0.08  # of the sheet's width

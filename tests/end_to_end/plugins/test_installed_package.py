@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -49,6 +50,13 @@ def test_a_method_of_a_package_is_listed_run_by_two_workers_and_reported_with_it
     again = novags(*request, "--dry-run").stderr
     assert "reconstruct naive: unchanged, kept out/naive" in again
     assert "out/theirs: their_package/factor.py has changed" in again
+    # Without the package the results are still there to be seen; nothing takes their place.
+    shutil.rmtree(site)
+    assert "out/theirs cannot be scored: unknown enhancer 'times'" in novags("score", "out/theirs", code=2).stderr
+    novags("report", "out")
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "(from their-package 1.2)" in page
+    assert all(f"<dt>{row}</dt>" in page for row in ("method theirs", "enhancer times"))
 
 
 def test_a_scene_of_a_package_is_rendered_and_its_set_says_whose_it_is(novags: Novags, tmp_path: Path) -> None:

@@ -109,8 +109,8 @@ def test_what_cannot_be_read_says_why(text, message):
 
 
 def test_every_source_has_a_line_and_a_configuration_of_its_own():
-    assert list(SOURCES) == ["known", "sfm", "hloc", "vggt", "dust3r", "mast3r", "vggsfm"]
-    assert len({source.config for source in SOURCES.values()}) == 7
+    assert [*SOURCES][:7] == ["known", "sfm", "hloc", "vggt", "dust3r", "mast3r", "vggsfm"]  # ours; others follow
+    assert len({source.config for source in SOURCES.values()}) == len(SOURCES)
     assert all(0 < len(source.description) < 90 and "\n" not in source.description for source in SOURCES.values())
 
 
@@ -121,11 +121,11 @@ from novags.cameras import SOURCES, parse_cameras, source_of, spell_cameras
 def loaded():
     return [name for name in SOURCES if f"novags.cameras.sources.{name}" in sys.modules]
 
-assert "sfm" in SOURCES and len(list(SOURCES)) == 7 and loaded() == [], loaded()
+assert "sfm" in SOURCES and len(list(SOURCES)) >= 7 and loaded() == [], loaded()
 config = parse_cameras("known:rotation_deg=1")
 assert spell_cameras(config) == "known:rotation_deg=1.0" and source_of(config).check(config) is None
 assert loaded() == ["known"], loaded()
-assert len(dict(SOURCES)) == 7 and loaded() == list(SOURCES), loaded()
+assert len(dict(SOURCES)) >= 7 and loaded() == list(SOURCES), loaded()
 print([name for name in ("torch", "numba", "pycolmap", "mitsuba") if name in sys.modules])
 """
 
@@ -168,7 +168,7 @@ def test_each_configuration_runs_its_source_on_the_views_that_are_asked_for(monk
     configs = KnownConfig(), SfmConfig(), HlocConfig(), *networks, VggsfmConfig(checkpoint=file, home=file)
     for config in configs:
         estimate_cameras(config, multiview, [1, 4], dark, device="meta", **shared)
-    assert [call[0] for call in calls] == list(SOURCES)
+    assert [call[0] for call in calls] == [*SOURCES][: len(configs)]
     (_, known_args, known_how), *others = calls
     assert known_args == (multiview, [1, 4], dark)
     assert known_how == {**shared, "config": configs[0]}

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from novags.methods.enhancers.sci import Sci
+from novags.methods.enhancers.networks.sci import Sci
 from novags.methods.variant import parse_variant
 from novags.testbed import stages
 from novags.testbed.console.terminal import Console

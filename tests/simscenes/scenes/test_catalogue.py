@@ -12,8 +12,8 @@ from simscenes.backend import activate, backend_of
 from simscenes.loading.load import LoadedScene, build_scene
 from simscenes.loading.reference import SceneRef
 from simscenes.render.geometry import geometry_channels
-from simscenes.scenes import textures as t
-from simscenes.scenes.sculpture import Stone
+from simscenes.scenes.parts import textures as t
+from simscenes.scenes.parts.sculpture import Stone
 from simscenes.transport import pilot
 from simscenes.transport.effects import DEEPEST, depth_effects, media_effects
 from simscenes.transport.pilot import RR_DEPTH, Pilot

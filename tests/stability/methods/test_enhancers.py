@@ -18,13 +18,13 @@ from novags.methods.enhancers import ENHANCERS, enhancer_of
 from novags.methods.enhancers.choice import Enhancement
 from novags.methods.enhancers.curves import drago, gain
 from novags.methods.enhancers.curves.drago import DARKEST
-from novags.methods.enhancers.mbllen import adjust
-from novags.methods.enhancers.networks import Kind
+from novags.methods.enhancers.networks.kind import Kind
+from novags.methods.enhancers.networks.mbllen import adjust
+from novags.methods.enhancers.networks.rows.mbllen import MbllenConfig
 from novags.methods.enhancers.rows.drago import DragoConfig
 from novags.methods.enhancers.rows.equalise import EqualiseConfig
 from novags.methods.enhancers.rows.gain import GainConfig
 from novags.methods.enhancers.rows.gamma import GammaConfig
-from novags.methods.enhancers.rows.mbllen import MbllenConfig
 from tests.stability.case import EPS, LARGEST, Case, Error, Fails, Part, Setting, refusal, relative_error, worse
 
 PART = Part("enhancers")

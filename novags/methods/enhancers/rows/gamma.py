@@ -4,8 +4,8 @@ import math
 from dataclasses import dataclass
 
 from novags.methods.enhanced.by_enhancer import by_enhancer
+from novags.methods.enhancers.checks import check_target
 from novags.methods.enhancers.enhancer import Enhancer, EnhancerConfig
-from novags.methods.enhancers.rows.checks import check_target
 from sensor_model.files.registry import Later
 
 

@@ -1,6 +1,7 @@
 """How to do it again: failures, differences from the published methods, commands, configurations, versions."""
 
 import json
+from collections import ChainMap
 from typing import Any
 
 from novags.testbed.report.material import Material, RunRecords
@@ -49,6 +50,6 @@ def configuration(material: Material, page: Page) -> dict[str, Any] | None:
             texts[made.get("name", "render")] = made["config"]
         texts["import" if place.capture.imported else "capture"] = place.capture.record.stage["config"]
         texts |= {f"reconstruct: {name}": run.record["config"] for name, run in place.runs.items()}
-    main = place.runs[place.main] if place else runs[0].run if runs else None
     shown = {name: json.dumps(config, indent=2, ensure_ascii=not material.study) for name, config in texts.items()}
-    return {"commands": commands, "texts": shown, "versions": main.record["stage"]["versions"] if main else {}}
+    versions = dict(ChainMap(*(each.run.record["stage"]["versions"] for each in runs)))  # of several: of the first
+    return {"commands": commands, "texts": shown, "versions": versions}

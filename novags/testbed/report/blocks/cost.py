@@ -6,6 +6,7 @@ from typing import Any
 
 from markupsafe import Markup
 
+from novags.testbed.console.provenance import PACKAGES
 from novags.testbed.folders.run import METRICS, Run
 from novags.testbed.ledger.contents import read_json
 from novags.testbed.report.material import Material
@@ -88,9 +89,10 @@ def mixed(runs: Mapping[str, Run]) -> str:
         hardware = {"processor": stage["hardware"]["processor"], "GPU": stage["hardware"]["gpu"] or "none"}
         for what, value in {**stage["versions"], **hardware}.items():
             found.setdefault(what, {}).setdefault(str(value), []).append(name)
-    for values in found.values():
+    for what, values in found.items():
         listed = {name for names in values.values() for name in names}
-        if missing := [name for name in runs if name not in listed]:
+        # Records have packages with rows, and plugin files, only where one of their rows was used.
+        if what in PACKAGES and (missing := [name for name in runs if name not in listed]):
             values["not installed"] = missing
     several = {what: values for what, values in found.items() if len(values) > 1}
     if not several:

@@ -1,6 +1,7 @@
 """Scores: of one place against every truth and view by view, of many in one table with places at each."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from markupsafe import Markup
@@ -102,12 +103,22 @@ def _of_many(material: Material, page: Page) -> dict[str, Any]:
     rows = (_line(line, material, page, axes, columns, main) for line in lines)
     return {
         "many": True, "table": Table("combinations", "Scores of every combination", heads, rows, "scores"),
+        "methods": _methods(material),
         "runs": _runs(material, columns) if material.study else None, "lost": material.lost,
         "in_linear_light": list(dict.fromkeys(line.method for line in lines if line.in_linear_light)),
         "alike": all(line.alike for line in lines), "no_lpips": not any(LPIPS in line.spread for line in lines),
         "pictures": bool(page.views), "floors": not material.study, "seeds": any(len(line.runs) > 1 for line in lines),
         "csv": CSV if material.study and resolved(material.path.parent) == resolved(material.study[0]) else None,
     }  # fmt: skip
+
+
+def _methods(material: Material) -> list[tuple[Any, str]]:
+    """The work of each method, by name; of runs of several captures once for those of one name."""
+    found = material.looks
+    if not material.study:
+        runs = {made.name: made.run.name for made in material.made.values()}
+        found = {run: replace(found[name], name=run) for name, run in runs.items()}
+    return [(named(look), look.title) for look in found.values() if look.title]
 
 
 def _filters(*names: str) -> list[Column]:

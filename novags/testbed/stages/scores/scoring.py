@@ -45,6 +45,8 @@ def score(run_path: Path, console: Console) -> dict[str, Any]:
 
 def _score(run_path: Path, console: Console) -> dict[str, Any]:
     run = open_run(run_path)
+    if run.lacks is not None:  # scores without it would take the place of the whole ones
+        raise ValueError(f"{run_path} cannot be scored: {run.lacks}")
     captured, lit = run.inputs(console)
     lacking = missing(captured.cameras.rig.width, captured.cameras.rig.height)
 

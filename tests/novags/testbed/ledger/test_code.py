@@ -180,7 +180,7 @@ def test_a_run_depends_on_the_sources_and_the_enhancers_that_it_uses() -> None:
     assert sfm in files("naive", cameras=parse_cameras("sfm"))
     assert "novags/methods/nova/denoiser.py" in files("naive", cameras=parse_cameras("sfm:pictures=denoised"))
     assert "novags/methods/nova/denoiser.py" not in files("naive", cameras=parse_cameras("sfm:pictures=enhanced"))
-    enhancers = {"naive": "guided", "sci-gs": "sci", "gamma-gs": "curves/gamma"}
+    enhancers = {"naive": "guided", "sci-gs": "networks/sci", "gamma-gs": "curves/gamma"}
     for name, file in enhancers.items():
         found = files(name)
         assert f"novags/methods/enhancers/{file}.py" in found

@@ -16,6 +16,7 @@ from novags.testbed.report.blocks.cost import costs
 from novags.testbed.report.material import Material, material_of
 from novags.testbed.report.place import Place, places_in
 from novags.testbed.report.study import study_material
+from novags.testbed.stages.scores.scoring import score
 
 QUIET = Console(quiet=True)
 NAMES = [block.name for block in page.BLOCKS]
@@ -115,3 +116,62 @@ def test_the_costs_of_a_program_are_its_own_memory(study: Path) -> None:
     for each in found.made.values():
         each.run.record["peak_bytes"] = 7_000_000_000
     assert {row["label"]: row["peak"] for row in costs(found)}["reconstruct: naive"] == 7_000_000_000
+
+
+def without_rows(folder: Path) -> None:
+    """Runs of `naive` as if its rows had been of a package that is gone: method, enhancer, cameras and metric."""
+    record = json.loads((folder / "naive" / "run.json").read_text())
+    record |= {
+        "method": "theirs",
+        "title": "their method (from their-package 1.2)",
+        "sees_truth": True,
+        "cameras": {**CAMERAS, "source": "carousel:step_deg=3"},
+    }
+    record["enhancement"]["enhancer"] = "times"
+    record["stage"]["config"]["cameras"] = "carousel:step_deg=3"
+    (folder / "naive" / "run.json").write_text(json.dumps(record))
+    metrics = json.loads((folder / "naive" / "metrics.json").read_text())
+    metrics["methods"]["naive"]["mean"]["lit"]["crispness"] = 0.5
+    (folder / "naive" / "metrics.json").write_text(json.dumps(metrics))
+
+
+def absent_rows(page: Path) -> list[str]:
+    section = page.read_text(encoding="utf-8").partition('data-block="absent"')[2].partition("</section>")[0]
+    return re.findall(r"<dt>(.*?)</dt>", section)
+
+
+def test_results_whose_rows_are_gone_are_reported_on_and_the_rows_are_named(experiment: Path, tmp_path: Path) -> None:
+    """Rationale: a page of finished runs could not be written once the package of an enhancer was gone."""
+    folder = Path(shutil.copytree(experiment, tmp_path / "page"))
+    without_rows(folder)
+    found = page.write_report(folder, QUIET)
+    assert absent_rows(found) == ["method theirs", "enhancer times", "cameras carousel", "metric crispness"]
+    assert 'alt="Rendered by naive' in found.read_text(encoding="utf-8")
+    (place,) = places_in([folder], QUIET)
+    assert not place.rows["naive"].competes  # it saw the truth, as its record says
+    assert place.rows["better"].competes
+    with pytest.raises(ValueError, match="naive cannot be scored: unknown enhancer 'times'; available: "):
+        score(folder / "naive", QUIET)
+
+
+def test_a_study_whose_variant_is_of_a_method_that_is_gone_is_reported_on(
+    experiment: Path, study: Path, tmp_path: Path
+) -> None:
+    folder = Path(shutil.copytree(experiment, tmp_path / "page"))
+    without_rows(folder)
+    shutil.copy(study / "study.json", folder)
+    table = json.loads((study / "results.json").read_text())
+    for row in table["rows"]:
+        row |= {"folder": row["method"], "lit.crispness": 0.5}
+    (folder / "results.json").write_text(json.dumps(table))
+    told = json.loads((study / "study.json").read_text())
+    told["table"]["variant"] |= {"soft": {"method": "theirs", "gain": 2}}
+    (folder / "study.json").write_text(json.dumps(told))
+    found = page.write_study(folder)
+    assert absent_rows(found) == ["method theirs", "enhancer times", "cameras carousel", "metric crispness"]
+    # The titles that the runs recorded, for want of rows.
+    assert "their method (from their-package 1.2)</dd>" in found.read_text(encoding="utf-8")
+
+
+def test_of_results_whose_rows_are_here_nothing_is_said_to_be_gone(experiment: Path) -> None:
+    assert absent_rows(experiment / "report.html") == []

@@ -26,6 +26,12 @@ def test_what_differs_is_named_with_the_runs_that_have_it() -> None:
     assert "python" not in said
 
 
+def test_a_package_whose_rows_only_some_runs_use_makes_no_difference() -> None:
+    theirs = {"naive": run(), "theirs": run(**{"their-package": "1.2"}), "mine": run(**{"mine.py": "59460794"})}
+    assert mixed(theirs) == ""
+    assert "their-package 1.2 (theirs), 1.3 (new)" in mixed({**theirs, "new": run(**{"their-package": "1.3"})})
+
+
 def test_of_many_runs_a_few_are_named() -> None:
     runs = {f"run {i}": run() for i in range(9)} | {"other": run(torch="2.14.0")}
     assert "2.13.0 (run 0, run 1, run 2 and 6 more), 2.14.0 (other)" in mixed(runs)

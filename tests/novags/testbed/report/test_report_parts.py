@@ -382,7 +382,8 @@ def test_light_is_shown_at_the_exposures_of_the_dark_and_of_the_well_lit_picture
     codes[0] = 0  # a black view says nothing, and does no harm
 
     def of(rendering: Any, *, known: bool = True) -> Any:
-        run: Any = SimpleNamespace(space="linear", enhancement=None, rendering=lambda name: rendering(index[name]))
+        told = {"space": "linear", "enhancement": None, "lacks": None}
+        run: Any = SimpleNamespace(**told, rendering=lambda name: rendering(index[name]))
         lit: Any = SimpleNamespace(lit_known=known, lit=lambda i: codes[i])
         return exposures_of(run, replace(capture, cameras=replace(capture.cameras, held_out=(0, 1, 2))), lit)
 

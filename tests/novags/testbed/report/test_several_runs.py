@@ -91,8 +91,10 @@ def test_a_report_on_several_captures_compares_runs_of_each_and_replaces_nothing
     assert len(set(re.findall(r'data-of="([^"]+)"', table))) == 2
     assert page.count("+10.00") == 1
     assert page.count("+2.00") == 1
-    # these runs state settings of an enhancement that this version does not have: no pictures, but all tables
-    assert "Pictures that cannot be shown" in page
+    # these runs state settings of an enhancement that this version does not have: all pictures but those through it
+    assert "Pictures that cannot be shown" not in page
+    assert 'alt="Rendered by two/naive' in page
+    assert page.count("<dt>enhancer guided</dt>") == 1
     assert "run it again" in page
     write_reports([runs / "dim", runs / "two"], QUIET)  # the same request
     before = path.read_bytes()

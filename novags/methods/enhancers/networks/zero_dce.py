@@ -17,9 +17,9 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 from torch.optim import Adam
 
-from novags.methods.enhancers.networks import Kind, Rehearsal
+from novags.methods.enhancers.networks.kind import Kind, Rehearsal
+from novags.methods.enhancers.networks.rows.zero_dce import ZeroDceConfig
 from novags.methods.enhancers.pictures import exposure, pooled
-from novags.methods.enhancers.rows.zero_dce import ZeroDceConfig
 
 CURVES = 8
 REGION = 4  # px, of the spatial loss

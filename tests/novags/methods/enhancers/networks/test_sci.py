@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import torch
 
-from novags.methods.enhancers import sci as part
 from novags.methods.enhancers.files.weights import read_weights
-from novags.methods.enhancers.rehearsal import learned
-from novags.methods.enhancers.rows.sci import SciConfig
-from novags.methods.enhancers.sci import SCI, Illumination, Sci
+from novags.methods.enhancers.networks import sci as part
+from novags.methods.enhancers.networks.rehearsal import learned
+from novags.methods.enhancers.networks.rows.sci import SciConfig
+from novags.methods.enhancers.networks.sci import SCI, Illumination, Sci
 
 
 def network(seed: int = 0) -> Sci:

@@ -18,9 +18,9 @@ class RetinexformerConfig(EnhancerConfig):
 
 ENHANCER = Enhancer(
     RetinexformerConfig,
-    Later("novags.methods.enhancers.retinexformer:enhance"),
-    Later("novags.methods.enhancers.networks:no_params"),
-    network=partial(loaded, "novags.methods.enhancers.retinexformer:RETINEXFORMER"),
+    Later("novags.methods.enhancers.networks.retinexformer:enhance"),
+    Later("novags.methods.enhancers.networks.kind:no_params"),
+    network=partial(loaded, "novags.methods.enhancers.networks.retinexformer:RETINEXFORMER"),
     title="Retinexformer (ICCV 2023), a network with official weights",
 )
 METHOD = by_enhancer(

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simscenes.scenes import shapes as s
+from simscenes.scenes.parts import shapes as s
 
 Field = NDArray[np.float64]
 Point = Sequence[float]

@@ -5,8 +5,8 @@ import pytest
 import torch
 
 from novags.methods.enhancers.files.weights import read_weights
-from novags.methods.enhancers.rows.uretinex import URetinexConfig
-from novags.methods.enhancers.uretinex import URETINEX, URetinex, renamed
+from novags.methods.enhancers.networks.rows.uretinex import URetinexConfig
+from novags.methods.enhancers.networks.uretinex import URETINEX, URetinex, renamed
 
 
 def network() -> URetinex:

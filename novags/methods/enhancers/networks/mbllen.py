@@ -20,8 +20,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from novags.methods.enhancers.networks import Kind
-from novags.methods.enhancers.rows.mbllen import MbllenConfig
+from novags.methods.enhancers.networks.kind import Kind
+from novags.methods.enhancers.networks.rows.mbllen import MbllenConfig
 
 BRANCHES = 10
 SMALLEST = 13  # px: three valid convolutions of 5 x 5 leave one pixel

@@ -5,8 +5,8 @@ from functools import partial
 from pathlib import Path
 
 from novags.methods.enhanced.by_enhancer import by_enhancer
+from novags.methods.enhancers.checks import check_training
 from novags.methods.enhancers.enhancer import Enhancer, EnhancerConfig
-from novags.methods.enhancers.rows.checks import check_training
 from sensor_model.files.registry import Later, loaded
 
 
@@ -27,9 +27,9 @@ class ZeroDceConfig(EnhancerConfig):
 
 ENHANCER = Enhancer(
     ZeroDceConfig,
-    Later("novags.methods.enhancers.zero_dce:enhance"),
-    Later("novags.methods.enhancers.networks:no_params"),
-    network=partial(loaded, "novags.methods.enhancers.zero_dce:ZERO_DCE"),
+    Later("novags.methods.enhancers.networks.zero_dce:enhance"),
+    Later("novags.methods.enhancers.networks.kind:no_params"),
+    network=partial(loaded, "novags.methods.enhancers.networks.zero_dce:ZERO_DCE"),
     title="Zero-DCE (CVPR 2020), a network that learns from the scene",
 )
 METHOD = by_enhancer(

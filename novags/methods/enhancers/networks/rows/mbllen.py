@@ -19,9 +19,9 @@ class MbllenConfig(EnhancerConfig):
 
 ENHANCER = Enhancer(
     MbllenConfig,
-    Later("novags.methods.enhancers.mbllen:enhance"),
-    Later("novags.methods.enhancers.mbllen:typical"),
-    network=partial(loaded, "novags.methods.enhancers.mbllen:MBLLEN"),
+    Later("novags.methods.enhancers.networks.mbllen:enhance"),
+    Later("novags.methods.enhancers.networks.mbllen:typical"),
+    network=partial(loaded, "novags.methods.enhancers.networks.mbllen:MBLLEN"),
     title="MBLLEN (BMVC 2018), a network with official weights",
 )
 METHOD = by_enhancer(

@@ -15,7 +15,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from novags.methods.enhancers.networks import Kind
+from novags.methods.enhancers.networks.kind import Kind
 
 WIDTH, BLOCKS = 40, (1, 2, 2)
 MULTIPLE = 4  # px: two levels, each half the size

@@ -21,8 +21,8 @@ import torch
 from torch import Tensor, nn
 from torch.optim import Adam
 
-from novags.methods.enhancers.networks import Kind, Rehearsal
-from novags.methods.enhancers.rows.sci import SciConfig
+from novags.methods.enhancers.networks.kind import Kind, Rehearsal
+from novags.methods.enhancers.networks.rows.sci import SciConfig
 
 STAGES = 3
 DARKEST = 1e-4  # of an illumination: 0 / 0 in black pixels without it

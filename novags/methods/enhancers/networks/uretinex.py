@@ -23,7 +23,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from novags.methods.enhancers.networks import Kind
+from novags.methods.enhancers.networks.kind import Kind
 
 ROUNDS = 3
 FIRST_R, FIRST_L, MORE = 0.1, 0.5, 0.05  # weights of the first round, and the increment of each further one

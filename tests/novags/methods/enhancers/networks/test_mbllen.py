@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from novags.methods.enhancers.files.weights import read_weights
-from novags.methods.enhancers.mbllen import MBLLEN, Mbllen, adjust, from_keras, run, typical
-from novags.methods.enhancers.rows.mbllen import MbllenConfig
+from novags.methods.enhancers.networks.mbllen import MBLLEN, Mbllen, adjust, from_keras, run, typical
+from novags.methods.enhancers.networks.rows.mbllen import MbllenConfig
 
 
 def network() -> Mbllen:

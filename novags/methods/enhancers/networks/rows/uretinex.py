@@ -23,9 +23,9 @@ class URetinexConfig(EnhancerConfig):
 
 ENHANCER = Enhancer(
     URetinexConfig,
-    Later("novags.methods.enhancers.uretinex:enhance"),
-    Later("novags.methods.enhancers.networks:no_params"),
-    network=partial(loaded, "novags.methods.enhancers.uretinex:URETINEX"),
+    Later("novags.methods.enhancers.networks.uretinex:enhance"),
+    Later("novags.methods.enhancers.networks.kind:no_params"),
+    network=partial(loaded, "novags.methods.enhancers.networks.uretinex:URETINEX"),
     title="URetinex-Net (CVPR 2022), a network with official weights",
 )
 METHOD = by_enhancer(

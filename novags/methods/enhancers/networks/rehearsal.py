@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from novags.methods.enhancers.networks import Kind, crops
+from novags.methods.enhancers.networks.kind import Kind, crops
 from novags.splats.files.tensors import digest, read, write_tensors
 from novags.splats.training.companion import pack, unpack
 

@@ -5,11 +5,11 @@ import pytest
 import torch
 
 from novags.methods.enhancers import network_of
-from novags.methods.enhancers import zero_dce as part
 from novags.methods.enhancers.files.weights import read_weights
-from novags.methods.enhancers.networks import crops
-from novags.methods.enhancers.rows.zero_dce import ZeroDceConfig
-from novags.methods.enhancers.zero_dce import ZERO_DCE, ZeroDce
+from novags.methods.enhancers.networks import zero_dce as part
+from novags.methods.enhancers.networks.kind import crops
+from novags.methods.enhancers.networks.rows.zero_dce import ZeroDceConfig
+from novags.methods.enhancers.networks.zero_dce import ZERO_DCE, ZeroDce
 
 
 def network(seed: int = 0, scale: float = 0.15) -> ZeroDce:

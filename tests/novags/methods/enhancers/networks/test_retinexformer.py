@@ -4,7 +4,14 @@ import numpy as np
 import torch
 from scipy.special import erf
 
-from novags.methods.enhancers.retinexformer import Attention, Blocks, Estimator, FeedForward, Normed, Retinexformer
+from novags.methods.enhancers.networks.retinexformer import (
+    Attention,
+    Blocks,
+    Estimator,
+    FeedForward,
+    Normed,
+    Retinexformer,
+)
 
 
 def randomised(module: torch.nn.Module, scale: float = 0.3) -> torch.nn.Module:

@@ -21,12 +21,12 @@ from novags.methods.enhancers import ENHANCERS, applying, located, recorded
 from novags.methods.enhancers.applying import enhanced, enhanced_like
 from novags.methods.enhancers.files.keras_file import read_keras
 from novags.methods.enhancers.files.weights import digest_of, read_weights
-from novags.methods.enhancers.networks import Kind, crops
-from novags.methods.enhancers.rehearsal import learned
-from novags.methods.enhancers.rows.sci import SciConfig
-from novags.methods.enhancers.rows.zero_dce import ZeroDceConfig
-from novags.methods.enhancers.sci import SCI, Sci
-from novags.methods.enhancers.zero_dce import ZERO_DCE, ZeroDce
+from novags.methods.enhancers.networks.kind import Kind, crops
+from novags.methods.enhancers.networks.rehearsal import learned
+from novags.methods.enhancers.networks.rows.sci import SciConfig
+from novags.methods.enhancers.networks.rows.zero_dce import ZeroDceConfig
+from novags.methods.enhancers.networks.sci import SCI, Sci
+from novags.methods.enhancers.networks.zero_dce import ZERO_DCE, ZeroDce
 from novags.methods.inputs import LacksInput
 from novags.methods.memo import Memo
 from novags.methods.problem import Problem
@@ -64,7 +64,7 @@ class Stop(Exception):
 
 @pytest.mark.parametrize("config", [TINY, SciConfig(steps=6, batch=1, crop=8)], ids=["zero-dce", "sci"])
 def test_a_training_that_is_interrupted_goes_on_to_the_same_bits(tmp_path, monkeypatch, config):
-    monkeypatch.setattr("novags.methods.enhancers.rehearsal.SAVED", 0.0)
+    monkeypatch.setattr("novags.methods.enhancers.networks.rehearsal.SAVED", 0.0)
     kind, seen = ZERO_DCE if config is TINY else SCI, []
 
     def stop(done, total, losses):

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from sensor_model.isp import srgb_to_linear
-from simscenes.scenes.remembered import remembered
+from simscenes.scenes.parts.remembered import remembered
 
 Rng = np.random.Generator
 Texels = NDArray[np.float32]

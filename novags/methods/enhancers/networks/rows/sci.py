@@ -5,8 +5,8 @@ from functools import partial
 from pathlib import Path
 
 from novags.methods.enhanced.by_enhancer import by_enhancer
+from novags.methods.enhancers.checks import check_training
 from novags.methods.enhancers.enhancer import Enhancer, EnhancerConfig
-from novags.methods.enhancers.rows.checks import check_training
 from sensor_model.files.registry import Later, loaded
 
 
@@ -30,9 +30,9 @@ class SciConfig(EnhancerConfig):
 
 ENHANCER = Enhancer(
     SciConfig,
-    Later("novags.methods.enhancers.sci:enhance"),
-    Later("novags.methods.enhancers.networks:no_params"),
-    network=partial(loaded, "novags.methods.enhancers.sci:SCI"),
+    Later("novags.methods.enhancers.networks.sci:enhance"),
+    Later("novags.methods.enhancers.networks.kind:no_params"),
+    network=partial(loaded, "novags.methods.enhancers.networks.sci:SCI"),
     title="SCI (CVPR 2022) and SCI++ (TPAMI 2025), a network that learns from the scene",
 )
 METHOD = by_enhancer(

@@ -1,0 +1,1 @@
+"""Enhancing networks: one file a network, its row in `rows`. `kind` is what all have in common."""
