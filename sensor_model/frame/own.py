@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields, replace
 from difflib import get_close_matches
 from typing import Any, Literal
@@ -101,6 +101,16 @@ def modules(sensor: Sensor | None) -> tuple[str, ...]:
     """
     named = [name for name, _, _ in _active(sensor)] if sensor else []
     return tuple(module for name in named if (module := EFFECT_LIST.module_of(name)))
+
+
+def missing(names: Iterable[str]) -> str | None:
+    """Why one of these effects cannot be used here; None where all can."""
+    for name in names:
+        try:
+            _row(name)
+        except ValueError as error:
+            return str(error)
+    return None
 
 
 def origin(name: str) -> Origin | None:

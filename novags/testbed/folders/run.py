@@ -32,6 +32,7 @@ from novags.testbed.ledger.contents import folder_digest, read_json, refuse_dama
 from sensor_model.files.door import enter, read_text
 from sensor_model.files.reading import brief
 from sensor_model.files.records import check_shape
+from sensor_model.frame import own
 from simscenes.sets.pictures.exr import read_exr
 from simscenes.sets.pictures.png import read_png
 
@@ -94,8 +95,13 @@ class Run:
 
     @cached_property
     def lacks(self) -> str | None:
-        """Why its enhancer cannot be used here, if that is so: results on disk are shown all the same."""
-        return None if self._enhancement is None else why_not_here(self._enhancement)
+        """Why its enhancement cannot be made again here, if that is so: results on disk are shown all the same.
+
+        The enhancer is not here, or an effect of the camera, which the noise depends on, is not.
+        """
+        if self._enhancement is None:
+            return None
+        return why_not_here(self._enhancement) or own.missing(self.record.get("effects", ()))
 
     @property
     def _enhancement(self) -> dict[str, Any] | None:

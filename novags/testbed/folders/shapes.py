@@ -33,7 +33,7 @@ CAMERAS = {"source": str, "unregistered": [str], "registered_share": float, "mea
            "mean_centre_error": float, "depth_scale": float}  # fmt: skip
 VIEWER_CAMERAS = [{"img_name": str, "position": Numbers(3), "rotation": Numbers(3, 3)}]
 RUN = {
-    "name": str, "method": str, "title?": str, "capture": PLACE, "space": str, "config": dict,
+    "name": str, "method": str, "title?": str, "capture": PLACE, "effects?": [str], "space": str, "config": dict,
     "enhancement": ({"enhancer": str, "pictures": str, "config": dict}, None), "cameras?": (CAMERAS, None),
     "seconds": {"*": float},
     "stage": {**STAGE, "inputs": {"capture": str, "set": str}, "versions": {"*": str}, "hardware": HARDWARE},

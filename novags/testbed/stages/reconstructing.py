@@ -212,6 +212,7 @@ def reconstruct_views(
         "variant": dict(variant.settings),
         "sees_truth": method.sees_clean or method.sees_surface,
         "capture": recorded_place(folder, capture.path),
+        **({"effects": sorted(capture.sensor.effects)} if capture.sensor and capture.sensor.effects else {}),
         "space": result.space,
         "enhancement": result.enhancement,
         **({"found": result.found} if result.found else {}),

@@ -33,10 +33,10 @@ def test_every_kind_has_a_file_and_says_how_it_is_tried() -> None:
 
 
 def test_files_of_all_kinds_work_together(tmp_path: Path) -> None:
-    def novags(*words: str) -> str:
+    def novags(*words: str, refused: bool = False) -> str:
         done = subprocess.run([sys.executable, "-m", "novags", *words], cwd=tmp_path, capture_output=True, text=True,
                               env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)})  # fmt: skip
-        assert done.returncode == 0, done.stderr
+        assert done.returncode == (2 if refused else 0), done.stderr
         return done.stderr
 
     for kind in get_args(Kind):
@@ -61,6 +61,15 @@ def test_files_of_all_kinds_work_together(tmp_path: Path) -> None:
     assert re.search(r"novags reconstruct capture [^&]*--plugin \.\./my-method\.py", page)
     assert "novags score my-method-again --plugin ../my-metric.py" in page
     assert ">MAE<" in (tmp_path / "out" / "report.html").read_text()
+    others = [word for k, word in enumerate(plugins) if "my-effect.py" not in plugins[k : k + 2]]
+    novags("report", "out", *others)
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert (
+        "no picture that went through it (the camera has an effect &#39;my-effect&#39; that is not known here" in page
+    )
+    kept = (tmp_path / "out" / "my-method" / "metrics.json").read_bytes()
+    assert "effect 'my-effect' that is not known here" in novags("score", "out/my-method", *others, refused=True)
+    assert (tmp_path / "out" / "my-method" / "metrics.json").read_bytes() == kept
     assert len(read_study(tmp_path / "my-study.toml").cells) == 18
 
 
