@@ -67,7 +67,9 @@ def _shade(shape: Any, mi: Any) -> None:
         bsdf.sample(context, si, POINT[0], mi.Point2f(POINT))
     if (lamp := shape.emitter()) is not None:
         lamp.eval(si)
-        lamp.sample_ray(0.0, POINT[0], mi.Point2f(POINT), mi.Point2f(POINT))
+        seen_from = mi.Interaction3f()
+        seen_from.p = si.p + si.n
+        lamp.sample_direction(seen_from, mi.Point2f(POINT))
 
 
 def _shine(scene: Any, emitter: Any, mi: Any) -> None:

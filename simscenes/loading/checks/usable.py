@@ -12,6 +12,11 @@ UNUSABLE = {
         "a 'directionalarea' emitter, whose light no path from a camera can find; use 'area', 'spot' or 'projector'"
     ),
 }
+# Its scalar variants crash; llvm showed the lamp right, and a floor under it eight times too dark.
+PAINTED_LAMP = (
+    "a lamp whose radiance is a 'mesh_attribute': Mitsuba cannot sample its light, so that all it shines on is too "
+    "dark; give it one colour, or a bitmap and texture coordinates"
+)
 # Plugins that only spectral variants can read, by class; in RGB Mitsuba would find out in the middle of a render.
 SPECTRAL = {
     "RegularSpectrum": "a 'regular' spectrum, which only spectral variants can read; write it as type 'spectrum' with "
@@ -33,12 +38,14 @@ def why_unusable(scene: Any, mi: Any) -> str:
     object that RGB cannot evaluate is alive, llvm and cuda render no other scene in RGB either.
     """
     spectral = "spectral" in mi.variant()
-    for _, part in _parts(scene, mi):
+    for label, part in _parts(scene, mi):
         kind = class_of(part)
         if kind in UNUSABLE:
             return UNUSABLE[kind]
         if kind in SPECTRAL and not spectral:
             return SPECTRAL[kind]
+        if label == "radiance" and kind.startswith("MeshAttribute"):
+            return PAINTED_LAMP
     if spectral and (raw := raw_color(scene, mi)):
         return (
             f"a bitmap with raw = true as {raw}: it has no spectrum, and is for RGB alone; leave raw out where a "

@@ -107,6 +107,14 @@ def test_values_of_a_mesh_that_a_material_cannot_use_are_refused_before_the_rend
         build_scene(scene(tmp_path, body), activate(), allow_outside=trusted)
 
 
+def test_a_lamp_of_colours_of_its_mesh_is_refused_since_it_would_light_nothing_rightly(tmp_path: Path) -> None:
+    ply(tmp_path, vertex=RGB)
+    radiance = '<texture type="mesh_attribute" name="radiance"><string name="name" value="vertex_color"/></texture>'
+    lamp = f'<string name="filename" value="m.ply"/><emitter type="area">{radiance}</emitter>'
+    with pytest.raises(ValueError, match="a lamp whose radiance is a 'mesh_attribute'.* is too dark"):
+        build_scene(scene(tmp_path, f'<shape type="ply">{lamp}</shape>'), activate())
+
+
 def test_colours_of_eight_bits_are_refused_with_the_likely_cause(tmp_path: Path) -> None:
     ply(tmp_path, vertex=("red=51", "green=128", "blue=204"), kind="uchar")
     with pytest.raises(ValueError, match=r"got 51\.\.204: codes of 8 bits, which Mitsuba takes as they are"):

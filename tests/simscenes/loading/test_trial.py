@@ -243,7 +243,7 @@ def test_a_scene_is_tried_once_for_each_variant_version_content_and_choice_of_pa
         def __init__(self, variant: str) -> None:
             self.variant = variant
 
-        def load(self, scene: Path, parameters: Any = ()) -> str:
+        def load(self, scene: Path, parameters: Any = (), *_: Any) -> str:
             tried.append((self.variant, *parameters))
             return ""
 
