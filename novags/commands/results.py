@@ -50,6 +50,7 @@ def score(
     if reference is not None:
         raise ValueError(f"--reference {reference} belongs to --renders: runs are scored against all that there are")
     from novags.testbed.report.place import places_in
+    from novags.testbed.report.verdict import limits
     from novags.testbed.study.place import score_all, together
 
     for folder, mine in together(runs).items():
@@ -63,6 +64,8 @@ def score(
             say(f"{place.title}:")
         for name, scores in place.metrics["methods"].items():
             say(f"{name}: {_in_words(scores['mean'], place, name)}")
+        if doubt := limits(place):
+            say(doubt.strip())
     next_(f"novags report {' '.join(typed(run) for run in runs)}")
 
 

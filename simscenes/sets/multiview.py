@@ -6,6 +6,7 @@ Images are uint8 sRGB [h,w,3], radiance is float32 linear RGB [h,w,3]. No mitsub
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -15,18 +16,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensor_model.files.door import enter, resolved
+from sensor_model.files.reading import some
 from sensor_model.files.records import Numbers, read_record
 from sensor_model.files.registry import Registry
 from sensor_model.isp import srgb_to_linear
 from simscenes.rigs import Rig
-from simscenes.sets.geometry.tracks import SparsePoints
+from simscenes.sets.geometry.tracks import SparsePoints, in_frame
 from simscenes.sets.pictures.exr import read_exr
 from simscenes.sets.pictures.image_file import WITH_ALPHA, has_alpha, read_rgb
-from simscenes.sets.readers.bare import picture_files
+from simscenes.sets.readers.bare import SUFFIXES, named_as_masks, picture_files
 from simscenes.sets.readers.colmap import find_colmap, read_colmap, read_points
 from simscenes.sets.readers.llff import is_llff
 from simscenes.sets.readers.nerf_synthetic import is_nerf_synthetic
 from simscenes.sets.readers.photographs import DistortedPinhole, Photographs, read_transforms
+from simscenes.sets.readers.ply_points import listed_points, read_ply_points
 from simscenes.sets.readers.resized import picture_folder
 from simscenes.sets.writers.camera_files import is_test_view, write_cameras
 
@@ -36,6 +39,7 @@ Image = NDArray[np.uint8]
 Float32 = NDArray[np.float32]
 GEOMETRY = ("Z", "distance", *(f"{kind}.{axis}" for kind in ("N", "Ng") for axis in "XYZ"),
             *(f"albedo.{c}" for c in "RGB"), "id", "material")  # fmt: skip
+LEAST_SEEN = 0.01  # share of first points in some picture; of a scan of a whole house few are, of another frame none
 # Cameras that no set made here has.
 READERS: Registry[Callable[[Path], Photographs]] = Registry({
     "NeRF-synthetic": "simscenes.sets.readers.nerf_synthetic:read_nerf_synthetic",
@@ -156,10 +160,24 @@ class MultiviewSet:
     def points(self) -> SparsePoints | None:
         """Sparse points with their tracks through the views; None if the set has none in the frame of its cameras."""
         if (model := self.model()) is None:
-            return None
+            return None if (file := self.points_file) is None else self._listed_points(file)
         x, y, z = self.origin
         found = read_points(*model, self.files, self.rig.about((-x, -y, -z)))
         return None if found is None else found.about(self.origin)
+
+    @property
+    def points_file(self) -> Path | None:
+        """The PLY file of first points that a foreign camera file names, and that is used; None: there is none."""
+        return listed_points(self.path) if self.kind == "photographs" and self.model() is None else None
+
+    def _listed_points(self, file: Path) -> SparsePoints:
+        found = read_ply_points(file).about(self.origin)
+        pixels, depths = self.rig.project(found.xyz)
+        seen = int(in_frame(self.rig, pixels, depths).any(0).sum())
+        if seen < LEAST_SEEN * len(found):
+            raise ValueError(f"{file}: points must lie in the frame of the cameras, {seen} of {len(found)} are in a "
+                             "picture: export both together, or remove ply_file_path")  # fmt: skip
+        return found
 
     def model(self) -> tuple[Path, Path] | None:
         """Folders of the images and of the COLMAP model in the frame of the cameras; None without such a model."""
@@ -251,8 +269,14 @@ def _unregistered(path: Path, found: Photographs, meta: dict[str, Any]) -> tuple
         return ()
     placed = {os.path.abspath(file) for file in (*found.files, *found.unused)}
     suffixes = {file.suffix.lower() for file in found.files}
-    beside = (file for folder in {file.parent for file in found.files} for file in folder.iterdir())
-    left = [file for file in beside if file.suffix.lower() in suffixes and os.path.abspath(file) not in placed]
+    every = (file for folder in {file.parent for file in found.files} for file in folder.iterdir())
+    beside = [file for file in every if os.path.abspath(file) not in placed]
+    drawn = [file for file in beside if file.suffix.lower() in SUFFIXES]
+    masks = set(named_as_masks([*found.files, *drawn])).intersection(drawn)
+    if masks:
+        warnings.warn(f"load_set: {len(masks)} masks beside the pictures of {path} are not used "
+                      f"({some(sorted(file.name for file in masks))}): all pixels count", stacklevel=4)  # fmt: skip
+    left = [file for file in beside if file.suffix.lower() in suffixes and file not in masks]
     return tuple(sorted(os.path.relpath(file, path) for file in left if not file.name.startswith(".")))
 
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from novags.cameras.doubts import camera_doubts
 from novags.numbers import SSIM_WINDOW
 from novags.testbed.console.terminal import Console, warnings_as_notes
 from novags.testbed.folders.exchanged import refuse_exchanged
@@ -176,6 +177,8 @@ class Source:
     def digest(self) -> str:
         """Present hash of everything that is read from the set, wherever its files are."""
         images = {f"images/{name}": file for name, file in zip(self.views.names, self.views.files, strict=True)}
+        if (points := self.views.points_file) is not None:
+            images["ply_file_path"] = points
         return folder_digest(self.views.path, READ_FROM, beside=images)
 
     def _say_background(self, i: int) -> None:
@@ -221,6 +224,10 @@ def source_of(views: MultiviewSet, console: Console, max_size: int | None = None
         name, file = next(iter(views.renamed.items()))
         console.warn(f"{len(views.renamed)} of {len(views)} files and their views cannot have one name ({file!r}: view "
                      f"{name}); the capture.json of a capture of it names the file of each")  # fmt: skip
+    if views.kind == "photographs" and not views.meta:  # our own were looked at when their cameras were found
+        focals = views.rig.Ks[:, 0, 0] / max(views.rig.width, views.rig.height)
+        for doubt in camera_doubts(views.names, views.rig.viewmats, focals):
+            console.warn(f"{path}: {doubt}")
     if missing := left_out(views.unregistered, len(views) + len(views.unregistered)):
         console.warn(missing)
     rig = views.rig if max_size is None else scaled_rig(views.rig, max_size)

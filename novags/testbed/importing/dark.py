@@ -48,7 +48,8 @@ class Dark:
         views = self.source.views
         pictures = {f"images/{name}": file for name, file in zip(views.names, self.files, strict=True)}
         raws = {f"raw/{name}": file for name, file in zip(views.names, self.raws, strict=False)}
-        return folder_digest(views.path, READ_FROM, beside=pictures | raws)
+        points = {} if (file := views.points_file) is None else {"ply_file_path": file}
+        return folder_digest(views.path, READ_FROM, beside=pictures | raws | points)
 
 
 def open_dark(

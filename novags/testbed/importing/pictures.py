@@ -72,7 +72,7 @@ def find_renders(folder: Path, names: Sequence[str]) -> Renders:
         if path.suffix.lower() in SUFFIXES and path.is_file() and not path.name.startswith("."):
             found.setdefault(path.stem, []).append(path)
     if missing := [name for name in names if name not in found]:
-        there = f"it holds {_listed(found)}" if found else "it holds no pictures"
+        there = f"it holds {_listed(found)}" if found else f"it holds no pictures{_below(folder)}"
         raise ValueError(
             f"{folder} lacks {len(missing)} of the {len(names)} test views: {_listed(missing)}; {there}: name each "
             f"picture like its view ({missing[0]}.png)"
@@ -82,6 +82,13 @@ def find_renders(folder: Path, names: Sequence[str]) -> Renders:
         raise ValueError(f"{folder} has more than one picture of view {twice[0]} ({both}): remove one of them")
     ignored = tuple(path.name for name, paths in found.items() if name not in names for path in paths)
     return Renders(folder, {name: found[name][0] for name in names}, ignored)
+
+
+def _below(folder: Path) -> str:
+    """The folders in a folder that hold pictures, for a message: ns-render makes rgb/, others test/ or renders/."""
+    holders = [path.name for path in sorted(folder.iterdir()) if path.is_dir() and not path.name.startswith(".")
+               and any(file.suffix.lower() in SUFFIXES for file in path.iterdir())]  # fmt: skip
+    return f" itself, pictures are in {_listed(holders)}: give such a folder" if holders else ""
 
 
 def read_picture(file: Path, width: int, height: int) -> ForeignPicture:

@@ -2,6 +2,8 @@
 
 from typing import Any
 
+import numpy as np
+
 from novags.testbed.report.place import Place
 from novags.testbed.report.tables import GIVEN, OWN, columns, is_plain, measured, ranked, scores_of
 from novags.testbed.report.words import duration, join, signed
@@ -12,6 +14,9 @@ AGAINST = {
     "linear_demosaiced": "the noise-free exposure in linear light, demosaiced", "lit": "the well-lit truth",
     "geometry": "the true surfaces",
 }  # fmt: skip
+
+
+NO_GAIN = 0.3  # dB between the floor and the ceiling: less is what seeds and views differ by
 
 
 def leading(place: Place) -> tuple[str, str, str] | None:
@@ -85,7 +90,29 @@ def verdict(place: Place) -> str:
         text += f"; that wins back {fraction:.0%} of what noise costs here"
     if best != place.main and (ours := value[place.main]) is not None:
         text += f"; {place.main} reaches {ours:.2f} dB"
-    return text + "." + _dissent(place, found[0], found[1], best)
+    return text + "." + _dissent(place, found[0], found[1], best) + limits(place)
+
+
+def limits(place: Place) -> str:
+    """That the fit limits here and not the noise, where a method without noise wins no more than its error; else ""."""
+    floor, ceiling, found = place.bound("floor"), place.bound("ceiling"), leading(place)
+    if floor is None or ceiling is None or found is None:
+        return ""
+    values, (kind, number, _) = _values(place), found
+    low, high = values[floor], values[ceiling]
+    if low is None or high is None:
+        return ""
+    views = [place.metrics["methods"][name].get("views", {}) for name in (floor, ceiling)]
+    pairs = [[view[kind][number] for view in (views[0][name], views[1][name])] for name in views[0] if name in views[1]]
+    gains = [one - other for other, one in pairs if one is not None and other is not None]
+    error = 2 * float(np.std(gains, ddof=1)) / np.sqrt(len(gains)) if len(gains) > 1 else 0.0
+    if high - low > max(error, NO_GAIN):
+        return ""
+    gained = signed(high - low) + (f" ± {error:.2f}" if error else "")
+    return (
+        f" The fit limits here, not the noise: {ceiling}, which sees no noise, is {gained} dB from {floor}, so that no "
+        "method can show its gain. Take cameras that are right, more views, points or iterations, or less light."
+    )
 
 
 def leader(place: Place) -> str:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from novags.cameras.doubts import LARGE_ERROR, camera_doubts, few_views
 from novags.cameras.motion.registration import PLACED, Observed, Registered, Shot, register
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders.photographs.raw_files import SUFFIXES as RAW
@@ -25,7 +26,7 @@ from simscenes.rigs import Rig
 from simscenes.sets.geometry.tracks import SparsePoints
 from simscenes.sets.names import file_of, view_names
 from simscenes.sets.pictures.png import write_png
-from simscenes.sets.readers.bare import SUFFIXES, Bare, picture_files, survey
+from simscenes.sets.readers.bare import SUFFIXES, Bare, picture_files, survey, without_masks
 from simscenes.sets.writers.camera_files import write_cameras
 
 BETTER = "take them with more overlap, from places that differ, sharp and with texture"
@@ -42,6 +43,9 @@ def poses(
         BlockingIOError: If another process is writing to `out`.
     """
     files = photographs_of(config.photographs)
+    if masks := masks_among(config.photographs):
+        console.warn(f"{len(masks)} masks among the photographs of {config.photographs} are left out: "
+                     f"{some(masks)}; all pixels of a photograph count")  # fmt: skip
     if config.photographs.is_dir():
         keep_apart(out, config.photographs)
     record = run_stage(
@@ -61,11 +65,13 @@ def poses(
     console.note(f"poses: {record['registered']} of {record['photographs']} photographs have a place")
     if missing := left_out(record["unregistered"], record["photographs"]):
         console.warn(missing)
+    for doubt in record.get("doubts", ()):
+        console.warn(doubt)
     return record
 
 
 def photographs_of(source: Path) -> dict[str, Path]:
-    """The photographs of a folder by their names relative to it, or a video by its name.
+    """The photographs of a folder by their names relative to it, or a video by its name; without masks.
 
     Raises:
         ValueError: If it is neither, or holds fewer than make a set.
@@ -74,13 +80,19 @@ def photographs_of(source: Path) -> dict[str, Path]:
         return {source.name: source}
     if not source.is_dir():
         raise ValueError(f"{source} is neither a folder of photographs nor a video file")
-    files = picture_files(source)
+    files, _ = without_masks(picture_files(source))
     if len(files) < PLACED:
         raise ValueError(
             f"{source} holds {len(files)} photographs ({', '.join(SUFFIXES)}), at least {PLACED} are needed"
             f"{_others(source)}"
         )
     return {file.relative_to(source).as_posix(): file for file in files}
+
+
+def masks_among(source: Path) -> list[str]:
+    """Masks that lie among the photographs of a folder, by their names relative to it."""
+    masks = [] if is_video(source) else without_masks(picture_files(source))[1]
+    return [file.relative_to(source).as_posix() for file in masks]
 
 
 def _others(folder: Path) -> str:
@@ -123,6 +135,11 @@ def place(files: dict[str, Path], out: Path, config: PosesConfig, console: Conso
             raise ValueError(
                 f"fewer than {PLACED} of the {len(bare)} photographs of {config.photographs} fit together: {BETTER}"
             )
+        if not len(found.points):  # a camera that only turned: all of it fits, and nothing has a depth
+            raise ValueError(
+                f"{len(found.indices)} photographs of {config.photographs} fit together without a single point in "
+                "common that has a depth, as if the camera only turned: take them from places that differ"
+            )
         names = write_set(out, list(files.values()), bare, levelled(found), size, config.name)
     return _facts(config.name, list(files), bare, found, size, names)
 
@@ -157,7 +174,11 @@ def write_set(
         np.add.at(colors, seen.points, pixels[y, x])
         np.add.at(count, seen.points, 1)
         lens = found.lenses[k]
-        pinhole = lens.pinhole(w, h)
+        try:
+            pinhole = lens.pinhole(w, h)
+        except ValueError as error:
+            raise ValueError(f"the {len(names)} photographs of {scene} that fit together do so only through a lens "
+                             f"whose distortion cannot be undone: {BETTER} ({error})") from error  # fmt: skip
         left, top = (w - width) // 2, (h - height) // 2
         picture = lens.undistort(pixels, pinhole)[top : top + height, left : left + width]
         write_png(out / "images" / file_of(names[k]), np.ascontiguousarray(picture))
@@ -192,6 +213,7 @@ def _facts(
         "photographs": len(labels),
         "registered": len(placed),
         "unregistered": [label for i, label in enumerate(labels) if i not in placed],
+        "doubts": _doubts(labels, bare, found, size),
         "turned": [label for label, one in zip(labels, bare, strict=True) if one.turned],
         "files_of_views": {name: labels[i] for name, i in sorted(zip(names, found.indices, strict=True))},
         "width": size[0],
@@ -203,3 +225,23 @@ def _facts(
             for lens in {bare[i].camera: lens for i, lens in zip(found.indices, found.lenses, strict=True)}.values()
         ],
     }
+
+
+def _doubts(labels: list[str], bare: Sequence[Bare], found: Registered, size: tuple[int, int]) -> list[str]:
+    """Doubts about the cameras, and changes of pictures, in words for the user."""
+    own = [labels[i] for i in found.indices]
+    focals = np.array([lens.K[0, 0] / max(bare[i].size) for i, lens in zip(found.indices, found.lenses, strict=True)])
+    seen = [len(one.points) for one in found.seen]
+    doubts = [*few_views(len(own)), *camera_doubts(own, found.viewmats, focals, points=found.points, seen=seen)]
+    if found.error > LARGE_ERROR:
+        doubts.append(f"points are {found.error:.2g} px from where the cameras see them, of at most {LARGE_ERROR:g}: "
+                      "cameras are wrong, or something moved between the photographs")  # fmt: skip
+    turned = [label for label, one in zip(labels, bare, strict=True) if one.turned]
+    cropped = [label for label, one in zip(labels, bare, strict=True) if one.size != size]
+    if turned:
+        doubts.append(f"{len(turned)} of {len(labels)} photographs are turned by 90 degrees to lie like the others: "
+                      f"{some(turned)}")  # fmt: skip
+    if cropped:
+        doubts.append(f"{len(cropped)} of {len(labels)} photographs are of another shape and are cropped to "
+                      f"{size[0]} x {size[1]} px: {some(cropped)}")  # fmt: skip
+    return doubts

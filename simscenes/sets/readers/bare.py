@@ -8,6 +8,7 @@ turned by 90 degrees; pictures of another size count as another camera, are scal
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
@@ -26,6 +27,8 @@ VIDEOS = (".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg")
 # Of EXIF: camera's maker and model, the part with the exposure, and in it focal length in mm and its 35 mm equivalent.
 MAKE, MODEL, EXPOSURE, FOCAL, FOCAL_35 = 0x010F, 0x0110, 0x8769, 0x920A, 0xA405
 DIAGONAL_35 = 43.267  # mm, of 36 x 24
+MASK = re.compile(r"(.+)[._-](?:mask|masks|alpha|matte|seg)")
+MASK_BYTES = 0.05  # of a pixel in a PNG of two codes; a photograph takes twenty times as many
 FOCALS = (1.0, 5000.0)  # mm; a header's value outside this range is not a focal length
 
 
@@ -70,6 +73,41 @@ def picture_files(folder: Path) -> list[Path]:
         if files:
             return files
     return []
+
+
+def without_masks(files: Sequence[Path]) -> tuple[list[Path], list[Path]]:
+    """Photographs, and masks among them: files named after another one, in a folder of masks, or black and white.
+
+    Args:
+        files: Of one folder or the folders below; if all would be masks, none is.
+    """
+    named = set(named_as_masks(files))
+    masks = [file for file in files if file in named or _is_black_and_white(file)]
+    if len(masks) == len(files):
+        return list(files), []
+    return [file for file in files if file not in masks], masks
+
+
+def named_as_masks(files: Sequence[Path]) -> list[Path]:
+    """The files among these whose names say that they are masks of another one, or that lie in a folder of masks."""
+    names = {file.name.lower() for file in files}
+    stems = {file.stem.lower() for file in files}
+
+    def is_mask(file: Path) -> bool:
+        stem = file.stem.lower()
+        # COLMAP's masks: photo.jpg.png of photo.jpg; others: photo_mask.png, photo.mask.png.
+        if stem in names or file.parent.name.lower() in ("mask", "masks"):
+            return True
+        return (match := MASK.fullmatch(stem)) is not None and match[1] in stems
+
+    return [file for file in files if is_mask(file)]
+
+
+def _is_black_and_white(file: Path) -> bool:
+    width, height = image_size(file)
+    if file.suffix.lower() != ".png" or file.stat().st_size > MASK_BYTES * width * height + 1000:
+        return False
+    return len(np.unique(read_rgb(file))) <= 2
 
 
 def survey(files: Sequence[Path], max_size: int | None) -> tuple[list[Bare], tuple[int, int]]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import mmap
 import shutil
+from codecs import BOM_UTF8
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
@@ -21,6 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sensor_model.files.atomic import write_text
 from sensor_model.files.door import admitted, opened, read_text
 from sensor_model.files.reading import reading
 
@@ -108,17 +110,28 @@ def model_suffix(folder: Path) -> str:
 
 @contextmanager
 def with_points(folder: Path) -> Iterator[Path]:
-    """A folder that pycolmap reads as this model: itself, or a copy with an empty file of points where it has none."""
+    """A folder that pycolmap reads as this model: itself, or a copy with an empty file of points where it has none, and
+    without byte-order marks, of which pycolmap knows nothing.
+    """
     suffix = model_suffix(folder)
-    if (folder / f"points3D.{suffix}").is_file():
+    files = [file for part in (*PARTS, "rigs", "frames") if (file := folder / f"{part}.{suffix}").is_file()]
+    marked = [file for file in files if suffix == "txt" and _is_marked(file)]
+    if not marked and (folder / f"points3D.{suffix}").is_file():
         yield folder
         return
     with TemporaryDirectory() as scratch:
-        for part in ("cameras", "images", "rigs", "frames"):
-            if (file := folder / f"{part}.{suffix}").is_file():
-                shutil.copyfile(admitted(file), Path(scratch) / file.name)
         (Path(scratch) / f"points3D.{suffix}").write_bytes(_U64.pack(0) if suffix == "bin" else b"")
+        for file in files:
+            if file in marked:
+                write_text(Path(scratch) / file.name, read_text(file))
+            else:
+                shutil.copyfile(admitted(file), Path(scratch) / file.name)
         yield Path(scratch)
+
+
+def _is_marked(file: Path) -> bool:
+    with opened(file) as content:
+        return content.read(len(BOM_UTF8)) == BOM_UTF8
 
 
 def count_images(folder: Path) -> int:

@@ -17,24 +17,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensor_model.files.reading import reading, some
-from sensor_model.files.records import Numbers, read_record
+from sensor_model.files.records import Numbers, check_shape, read_record
 from simscenes.rigs import MAX_ROTATION_ERROR, Rig, opengl_to_opencv, rotation_error
 from simscenes.sets.names import file_of, view_names
 from simscenes.sets.pictures.image_file import image_size
+from simscenes.sets.readers.entries import PINHOLES, check_entries, without_nulls
 from simscenes.sets.readers.finding import find_file as find_file
 from simscenes.sets.readers.finding import find_files, spelt
+from simscenes.sets.readers.focal import FOCAL, FOCAL_X, FOCAL_Y, contradictions, first_focal, focal_length
+from simscenes.sets.readers.lens import DistortedPinhole
+from simscenes.sets.readers.ply_points import notes_on_points
 from simscenes.sets.readers.split import SPLIT, split_of
 
-# Entries that state a focal length along x and along y, in the order in which they count: px, rad, degrees.
-FOCAL_X, FOCAL_Y = ("fl_x", "camera_angle_x", "x_fov"), ("fl_y", "camera_angle_y", "y_fov")
-FOCAL = (*FOCAL_X, *FOCAL_Y)
 # Entries read from a camera file, of the whole set or of one frame.
 NUMBERS = (*FOCAL, "w", "h", "cx", "cy", "k1", "k2", "k3", "k4", "p1", "p2")
 LISTED = ("k1", "k2", "k3", "k4", "p1", "p2")  # in the order of nerfstudio's "distortion_params"
 LENS = dict.fromkeys((f"{key}?" for key in NUMBERS), float) | {
     "camera_model?": str, "is_fisheye?": (bool, int), "distortion_params?": Numbers(len(LISTED))
 }  # fmt: skip
-TRANSFORMS = {**LENS, **SPLIT, "frames": [{**LENS, "file_path": str, "transform_matrix": Numbers(4, 4)}]}
+POSE = (Numbers(4, 4), Numbers(3, 4))  # the last row of a pose is always the same, and some leave it out
+TRANSFORMS = {**LENS, **SPLIT, "ply_file_path?": str, "frames": [
+    {**LENS, "file_path": str, "transform_matrix": POSE, "mask_path?": (str, None)}
+]}  # fmt: skip
 # Beyond these no lens makes sense, and float32, in which pictures are rendered, would overflow. Pixels, rad, OpenCV's.
 RANGES = dict.fromkeys(("w", "h", "fl_x", "fl_y"), (0.0, 1e7)) | dict.fromkeys(("cx", "cy"), (-1e7, 1e7))
 RANGES |= dict.fromkeys(("camera_angle_x", "camera_angle_y"), (0.0, np.pi)) | dict.fromkeys(
@@ -43,39 +47,6 @@ RANGES |= dict.fromkeys(("camera_angle_x", "camera_angle_y"), (0.0, np.pi)) | di
 RANGES |= dict.fromkeys(("k1", "k2", "k3", "p1", "p2"), (-100.0, 100.0))
 Poses = list[NDArray[np.float64]]
 MAX_COORDINATE = 1e12  # of a camera; float64 then still resolves a tenth of a millimetre in metres
-
-
-@dataclass(frozen=True)
-class DistortedPinhole:
-    """A pinhole with OpenCV distortion: K [3,3] (pixel centres at +0.5) and (k1, k2, p1, p2, k3)."""
-
-    K: NDArray[np.float64]
-    distortion: tuple[float, float, float, float, float]
-
-    def pinhole(self, width: int, height: int) -> NDArray[np.float64]:
-        """Intrinsics [3,3] of the largest undistorted image of this size without empty borders."""
-        if not any(self.distortion):
-            return self.K
-        import cv2
-
-        shifted, _ = cv2.getOptimalNewCameraMatrix(_to_cv(self.K), np.array(self.distortion), (width, height), 0)
-        return _from_cv(shifted)
-
-    def undistort(self, image: NDArray[np.uint8], pinhole: NDArray[np.float64]) -> NDArray[np.uint8]:
-        """Resample a distorted image [h,w,3] to the pinhole camera `pinhole` [3,3]."""
-        if not any(self.distortion):
-            return image
-        import cv2
-
-        return cv2.undistort(image, _to_cv(self.K), np.array(self.distortion), newCameraMatrix=_to_cv(pinhole))
-
-
-def _to_cv(K: NDArray[np.float64]) -> NDArray[np.float64]:
-    return K - np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])  # OpenCV counts pixel centres from 0
-
-
-def _from_cv(K: NDArray[np.float64]) -> NDArray[np.float64]:
-    return K + np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
 
 
 @dataclass(frozen=True)
@@ -157,31 +128,57 @@ def _all_frames(source: Path) -> tuple[list[FrameEntry], Poses]:
 
 def _frames(source: Path) -> tuple[list[FrameEntry], Poses, list[str]]:
     """All frames of a file and their poses, checked, and notes for the user."""
-    content = read_record(source, TRANSFORMS)
+    content = read_content(source)
     split = split_of(content, source)
     shared = {key: value for key, value in content.items() if key != "frames"}
     frames, poses = [], []
     for i, entry in enumerate(content["frames"]):
-        pose = np.array(entry["transform_matrix"], np.float64)
+        pose = np.array([*entry["transform_matrix"][:3], [0, 0, 0, 1]], np.float64)
         where = f"{source}: frames[{i}].transform_matrix"
-        if np.abs(pose[3] - [0, 0, 0, 1]).max() > 1e-6:  # other tools write a rounded inverse
-            raise ValueError(f"{where} must end in the row 0 0 0 1 (is it transposed?), got {pose[3].tolist()}")
+        last = np.array(entry["transform_matrix"][3:] or [[0, 0, 0, 1]], np.float64)[0]
+        if np.abs(last - [0, 0, 0, 1]).max() > 1e-6:  # other tools write a rounded inverse
+            raise ValueError(f"{where} must end in the row 0 0 0 1 (is it transposed?), got {last.tolist()}")
         check_pose(pose, where)
         use = None if split is None else split.use(i)
         poses.append(pose)
         frames.append(FrameEntry(_camera(shared, entry), entry["file_path"], use))
     masked = sum(bool(entry.get("mask_path")) for entry in content["frames"])
     notes = [] if split is None else list(split.notes)
+    notes += check_entries(content, source, first_focal([frame.camera for frame in frames]))
+    notes += notes_on_points(content, source)
+    notes += contradictions([frame.camera for frame in frames], source)
     if masked:
         notes.append(f"{masked} of {len(frames)} frames of {source} have a mask (mask_path): masks are not used, all "
                      "pixels count")  # fmt: skip
     return frames, poses, notes
 
 
+def read_content(source: Path) -> dict[str, Any]:
+    """What a transforms.json holds, of the shape that readers rely on, without entries that are null.
+
+    Raises:
+        ValueError: If it is of another shape, or of a camera that is not a pinhole.
+    """
+    content = without_nulls(read_record(source, {"frames": [dict]}))
+    for one in (content, *content["frames"]):
+        model = one.get("camera_model", PINHOLES[0])
+        # Before the shape: the numbers of another lens are of another number.
+        if isinstance(model, str) and model.upper() not in PINHOLES:
+            raise ValueError(_no_pinhole(source, model, one.get("k4", 0)))
+    check_shape(content, TRANSFORMS, f"{source}", "correct it or put the original back")
+    return dict(content)
+
+
+def _no_pinhole(source: Path, model: str, k4: Any) -> str:
+    return (f"load_set: {source} has a {model} camera (k4 = {k4}); only pinholes with k1 k2 k3 p1 p2 are supported: "
+            "undistort the images first")  # fmt: skip
+
+
 def _camera(shared: dict[str, Any], entry: dict[str, Any]) -> dict[str, Any]:
-    """The frame's entries over the file's; none of the file's focal lengths counts where the frame states one."""
-    own = any(key in entry for key in FOCAL)
-    return {key: value for key, value in shared.items() if not (own and key in FOCAL)} | entry
+    """The frame's entries over the file's; where it states a focal length or distortion, none of the file's counts."""
+    own: tuple[str, ...] = FOCAL if any(key in entry for key in FOCAL) else ()
+    own += ("distortion_params",) if any(key in entry for key in LISTED) else ()
+    return {key: value for key, value in shared.items() if key not in own} | entry
 
 
 def check_pose(pose: NDArray[np.float64], where: str) -> None:
@@ -258,9 +255,11 @@ def collect(
     """
     there = listed(files, source, names)
     paths = tuple(file for i in there.values() if (file := files[i]) is not None)
-    sizes = {image_size(file): file.name for file in paths}
+    sizes = {image_size(file): file for file in paths}
     if len(sizes) > 1:
-        got = ", ".join(f"{w} x {h} ({name})" for (w, h), name in sorted(sizes.items())[:4])
+        above = os.path.commonpath([os.path.abspath(file.parent) for file in paths])
+        below = {size: Path(os.path.relpath(file, above)).as_posix() for size, file in sizes.items()}
+        got = ", ".join(f"{w} x {h} ({name})" for (w, h), name in sorted(below.items())[:4])
         raise ValueError(f"load_set: the images of {source} must share one size, got {got}; resize them together with "
                          "their intrinsics, or remove the odd ones")  # fmt: skip
     width, height = next(iter(sizes))
@@ -275,8 +274,20 @@ def rig_of(
     """The pinhole rig of some of the cameras that `source` lists, and their lenses; arguments as for `collect`."""
     with reading(source):
         lenses = tuple(lens_of(cameras[i], *size) for i in chosen)
-        Ks = np.stack([lens.pinhole(*size) for lens in lenses])
+        Ks = np.stack([_pinhole_of(lens, size, source) for lens in lenses])
+        if worst := max((lens.folded(*size) for lens in lenses), default=0.0):
+            turn = min(lens.turn_px() for lens in lenses)
+            warnings.warn(f"load_set: the distortion that {source} states turns {turn:.0f} px from the centre of the "
+                          f"picture: up to {worst:.1%} of each picture lies beyond, belongs to no ray, and is cut off",
+                          stacklevel=5)  # fmt: skip
         return Rig(viewmats=np.stack([viewmats[i] for i in chosen]), Ks=Ks, width=size[0], height=size[1]), lenses
+
+
+def _pinhole_of(lens: DistortedPinhole, size: tuple[int, int], source: Path) -> NDArray[np.float64]:
+    try:
+        return lens.pinhole(*size)
+    except ValueError as error:
+        raise ValueError(f"load_set: {source}: {error}") from error
 
 
 def read_transforms(folder: Path) -> Photographs:
@@ -336,9 +347,8 @@ def transforms_lens(camera: dict[str, Any], width: int, height: int, source: Pat
     # As nerfstudio 1.1.5 does: where there is a list, it counts, and not the single numbers.
     camera = {**camera, **dict(zip(LISTED, camera.get("distortion_params", ()), strict=False))}
     model = "OPENCV_FISHEYE" if camera.get("is_fisheye") else camera.get("camera_model", "OPENCV").upper()
-    if model not in ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL") or camera.get("k4"):
-        raise ValueError(f"load_set: {source} has a {model} camera (k4 = {camera.get('k4', 0)}); only pinholes with "
-                         "k1 k2 k3 p1 p2 are supported: undistort the images first")  # fmt: skip
+    if model not in PINHOLES or camera.get("k4"):
+        raise ValueError(_no_pinhole(source, model, camera.get("k4", 0)))
     for key, (low, high) in RANGES.items():
         if key in camera and not low < camera[key] < high:
             raise ValueError(f"load_set: {source}: {key} must lie between {low:g} and {high:g}, got {camera[key]:.3g}")
@@ -348,7 +358,7 @@ def transforms_lens(camera: dict[str, Any], width: int, height: int, source: Pat
             raise ValueError(f"load_set: {source} states no {key}: {centre} must lie in the middle half of the "
                              f"pictures, got {camera[centre]:g} px of a {size} of {side} px; add w and h, the size of "
                              "the pictures that the camera was found with (were they shrunk since?)")  # fmt: skip
-    fx, fy = (_focal(camera, keys, side) for keys, side in zip((FOCAL_X, FOCAL_Y), listed, strict=True))
+    fx, fy = (focal_length(camera, keys, side) for keys, side in zip((FOCAL_X, FOCAL_Y), listed, strict=True))
     fx, fy = fx or fy, fy or fx
     if fx is None or fy is None:
         raise ValueError(f"load_set: {source} needs a focal length as a number, got none of {', '.join(FOCAL)}")
@@ -359,16 +369,6 @@ def transforms_lens(camera: dict[str, Any], width: int, height: int, source: Pat
     K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
     k1, k2, p1, p2, k3 = (float(camera.get(k, 0)) for k in ("k1", "k2", "p1", "p2", "k3"))
     return DistortedPinhole(rescaled(K, listed, (width, height), source), (k1, k2, p1, p2, k3))
-
-
-def _focal(camera: dict[str, Any], keys: Sequence[str], side: float) -> float | None:
-    """Focal length along one axis, px: stated itself, or as the angle (rad, then degrees) that `side` px span."""
-    px, rad, degrees = keys
-    if px in camera:
-        return float(camera[px])
-    if rad in camera:
-        return float(side / 2 / np.tan(camera[rad] / 2))
-    return float(side / 2 / np.tan(np.radians(camera[degrees]) / 2)) if degrees in camera else None
 
 
 def rescaled(K: Any, listed: tuple[float, float], actual: tuple[int, int], source: Path) -> NDArray[np.float64]:

@@ -154,7 +154,7 @@ POSE = [[1.0, 0, 0, 1], [0, 1, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]]
         ({"frames": {"a": 1}}, "frames must be a list, got"),
         ({"frames": [{"file_path": "x"}]}, r"frames\[0\].transform_matrix must be there"),
         ({"file_path": 3}, r"frames\[0\].file_path must be text, got 3"),
-        ({"transform_matrix": POSE[:3]}, r"frames\[0\].transform_matrix must be 4 x 4 finite numbers"),
+        ({"transform_matrix": POSE[:2]}, r"frames\[0\].transform_matrix must be 4 x 4 finite numbers"),
         ({"transform_matrix": [*POSE[:3], [1, 2, 3, 1]]}, r"must end in the row 0 0 0 1 \(is it transposed\?\)"),
         ({"transform_matrix": [[2.0, 0, 0, 1], *POSE[1:]]}, r"frames\[0\].*must be a rotation and a translation"),
         ({"transform_matrix": [[-1.0, 0, 0, 1], *POSE[1:]]}, r"frames\[0\].*no mirror"),

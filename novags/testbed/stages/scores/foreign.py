@@ -22,6 +22,7 @@ from novags.testbed.metrics.geometry import geometry_scores
 from novags.testbed.metrics.images import image_scores, mean_scores
 from novags.testbed.metrics.linear import exposure_gain, is_black, linear_psnr
 from novags.testbed.metrics.picture import Image
+from novags.testbed.stages.scores.doubts import Doubts
 from sensor_model.files.lock import dry
 
 Reference = Literal["lit", "linear", "clean", "linear_demosaiced", "clean_demosaiced"]
@@ -147,13 +148,17 @@ def score_renders(
     gain = _gain(read, pictures) if reference in LINEAR else None
     lacking = missing(width, height)
     asked = set[str]() if reference in LINEAR else networks() - lacking.keys()
-    views, depths = {}, []
+    views, depths, doubts = {}, [], Doubts()
     with console.progress(f"score {folder.name}") as progress:
         for done, (i, name, picture) in enumerate(pictures()):
-            views[name] = _view(picture, read(i), gain, asked)
+            views[name] = _view(picture, right := read(i), gain, asked)
+            doubts.add(picture, right, linear=reference in LINEAR)
             if picture.depth is not None and (known := true_depth(truth.lit, i)) is not None:
+                doubts.add_depth(picture.depth, known, truth.lit.rig.Ks[i])
                 depths.append(geometry_scores(np.maximum(picture.depth, 0.0), picture.alpha, known))
             progress(done + 1, len(truth.indices), f"view {name}")
+    for doubt in doubts.notes(reference):
+        console.warn(f"{folder}: {doubt}")
     return {
         "mean": {reference: mean_scores(list(views.values()))},
         "views": {name: {reference: scores} for name, scores in views.items()},

@@ -99,3 +99,21 @@ def test_methods_with_references_of_their_own_are_compared_with_the_well_lit_one
     assert "by PSNR: ours comes first" in verdict.verdict(found)
     found.exposures = {"ours": object()}  # linear light, to whose exposure truth helps
     assert "by PSNR: ours comes first" not in verdict.verdict(found)
+
+
+def by_views(name: str, *scores: float) -> dict[str, Any]:
+    return {"views": {f"{i}": {"enhanced": {"aligned_psnr": score}} for i, score in enumerate(scores)}}
+
+
+def test_where_a_method_without_noise_wins_nothing_the_fit_is_said_to_limit() -> None:
+    found = material(plain={"aligned_psnr": 17.0}, ours={"aligned_psnr": 17.1}, oracle={"aligned_psnr": 17.2})
+    said = verdict.verdict(found)
+    assert "The fit limits here, not the noise: oracle, which sees no noise, is +0.20 dB from plain" in said
+    far = material(plain={"aligned_psnr": 17.0}, ours={"aligned_psnr": 17.1}, oracle={"aligned_psnr": 19.0})
+    assert "limits" not in verdict.verdict(far)
+    far.metrics["methods"]["plain"] |= by_views("plain", 17.0, 17.0, 17.0)
+    far.metrics["methods"]["oracle"] |= by_views("oracle", 18.9, 19.0, 19.1)
+    assert "limits" not in verdict.verdict(far)
+    far.metrics["methods"]["oracle"] |= by_views("oracle", 15.0, 19.0, 23.0)  # 2 +- 4.6 dB
+    assert "oracle, which sees no noise, is +2.00 ± 4.62 dB from plain" in verdict.verdict(far)
+    assert "limits" not in verdict.verdict(material(plain={"aligned_psnr": 17.0}, ours={"aligned_psnr": 17.1}))

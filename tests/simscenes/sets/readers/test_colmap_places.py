@@ -117,3 +117,59 @@ def test_images_that_show_points_need_the_file_of_points(tmp_path: Path) -> None
     (model / "points3D.txt").unlink()
     with pytest.raises(ValueError, match=r"images.txt: shows point \[\d+\] .* that points3D does not have; download"):
         check_model(model)
+
+
+def test_byte_order_marks_in_a_text_model_change_nothing(tmp_path: Path) -> None:
+    model = as_text(piece(pictures(tmp_path) / "sparse" / "0", VIEWS))
+    before, points = load_set(tmp_path).rig, load_set(tmp_path).points()
+    for file in model.iterdir():
+        file.write_bytes(b"\xef\xbb\xbf" + file.read_bytes())
+    views = load_set(tmp_path)
+    np.testing.assert_array_equal(views.rig.viewmats, before.viewmats)
+    marked = views.points()
+    assert points is not None
+    assert marked is not None
+    np.testing.assert_array_equal(marked.xyz, points.xyz)
+
+
+def camera_of(folder: Path, line: str) -> Path:
+    """The model with one camera for all images."""
+    model = as_text(piece(pictures(folder) / "sparse" / "0", VIEWS))
+    (model / "cameras.txt").write_text(f"{line}\n")
+    return folder
+
+
+PARAMS = {"SIMPLE_RADIAL_FISHEYE": "30 16 12 0.1", "RADIAL_FISHEYE": "30 16 12 0.1 0", "FOV": "30 30 16 12 0.9",
+          "OPENCV_FISHEYE": "30 30 16 12 0.1 0 0 0", "FULL_OPENCV": "30 30 16 12 0 0 0 0 0 0.1 0 0",
+          "THIN_PRISM_FISHEYE": "30 30 16 12 0 0 0 0 0 0 0 0", "RAD_TAN_THIN_PRISM_FISHEYE": "30 30 16 12" + " 0" * 12,
+          "SIMPLE_DIVISION": "30 16 12 -0.1", "DIVISION": "30 30 16 12 -0.1", "SIMPLE_FISHEYE": "30 16 12",
+          "FISHEYE": "30 30 16 12", "EUCM": "30 30 16 12 0.5 1", "EQUIRECTANGULAR": "32 24"}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", PARAMS)
+def test_a_lens_of_colmap_that_is_no_pinhole_is_refused_by_name(kind: str, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=f"has a {kind} camera.*undistorter"):
+        load_set(camera_of(tmp_path, f"1 {kind} 32 24 {PARAMS[kind]}"))
+
+
+def test_a_full_model_without_rational_terms_is_read_as_what_it_is(tmp_path: Path) -> None:
+    lenses = load_set(camera_of(tmp_path, "1 FULL_OPENCV 32 24 30 30 16 12 0.1 0.02 0.003 0.004 0 0 0 0")).lenses
+    assert lenses is not None
+    assert {lens.distortion for lens in lenses} == {(0.1, 0.02, 0.003, 0.004, 0.0)}
+
+
+def test_a_lens_of_colmap_that_folds_its_picture_is_refused_with_the_share(tmp_path: Path) -> None:
+    with pytest.raises(
+        ValueError, match=r"sparse/0: the distortion of a lens \(k1 = -0.3\) turns 11 px .*belongs to no"
+    ):
+        load_set(camera_of(tmp_path, "1 SIMPLE_RADIAL 32 24 16 16 12 -0.3"))
+
+
+@pytest.mark.parametrize("name", ["{0}_mask.png", "{0}.png.png", "{0}.mask.jpg"])
+def test_masks_among_the_pictures_are_said_and_are_no_photographs_without_a_camera(name: str, tmp_path: Path) -> None:
+    piece(pictures(tmp_path) / "sparse" / "0", VIEWS)
+    for i in range(3):
+        write_png(tmp_path / "images" / name.format(i), dark_picture(i))
+    with pytest.warns(UserWarning, match=r"3 masks beside the pictures of .* are not used \(0.*: all pixels count"):
+        views = load_set(tmp_path)
+    assert (len(views), views.unregistered) == (VIEWS, ())

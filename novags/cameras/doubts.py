@@ -1,0 +1,95 @@
+"""Doubts about cameras before hours are spent on them: which stand apart, and whether there is enough to go by.
+
+A wrong camera spoils all views, and a fit takes long to show that. The bounds were set so that of the photographs of
+`docs/own-photographs.md` the good ones raise no doubt.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sensor_model.files.reading import some
+from simscenes.rigs import invert_rigid
+
+Array = NDArray[np.float64]
+
+COMPARED = 5  # cameras at least, before one can stand apart
+FAR = 4.0  # times the median distance from the scene, or its inverse
+ZOOMED = 1.6  # times the median focal length, or its inverse
+FEW_SEEN = 0.1  # of the points that the median camera sees
+LEAST_SEEN = 40  # points that the median camera sees; fewer fit cameras of many kinds
+LEAST_POINTS = 100
+LEAST_VIEWS = 8  # of which one is held out
+ONE_PLACE = 0.02  # largest distance between cameras over their distance from the scene: less shows no depth
+LARGE_ERROR = 2.0  # px of reprojection
+
+
+def camera_doubts(
+    labels: Sequence[str], viewmats: Array, focals: Array, *, points: Array | None = None,
+    seen: Sequence[int] | None = None,
+) -> list[str]:  # fmt: skip
+    """In words what speaks against cameras; [] if nothing does.
+
+    Args:
+        labels: Of the pictures.
+        viewmats: World to camera [C,4,4].
+        focals: Focal lengths over the longest side of the picture [C].
+        points: World points [P,3] that the cameras were found with; None: not known.
+        seen: How many of them each camera sees.
+    """
+    found = []
+    centres = invert_rigid(viewmats)[:, :3, 3]
+    scene = _focus(viewmats) if points is None or not len(points) else np.median(points, 0)
+    distance = np.linalg.norm(centres - scene, axis=1)
+    apart = _apart(labels, distance, focals, seen)
+    if apart:
+        found.append(f"{len(apart)} of {len(labels)} cameras stand apart from the others: {some(apart, 6)}; look at "
+                     "these photographs, and leave out what shows another place")  # fmt: skip
+    if points is not None and (len(points) < LEAST_POINTS or np.median(seen or [0]) < LEAST_SEEN):
+        found.append(f"few points hold the cameras together: {len(points)} in all, {np.median(seen or [0]):g} in the "
+                     f"median photograph, of at least {LEAST_POINTS} and {LEAST_SEEN}: cameras may be wrong; take "
+                     "photographs with more overlap, sharp and with texture")  # fmt: skip
+    spread = np.linalg.norm(centres[:, None] - centres[None], axis=-1).max() if len(centres) < 1000 else np.inf
+    if len(labels) > 1 and spread < ONE_PLACE * np.median(distance):
+        found.append("all photographs are taken from one place, as if the camera only turned: they show no depth; walk "
+                     "around the scene")  # fmt: skip
+    return found
+
+
+def few_views(count: int) -> list[str]:
+    """A doubt where fewer than `LEAST_VIEWS` photographs have a camera."""
+    return [] if count >= LEAST_VIEWS else [
+        f"only {count} photographs have a camera, at least {LEAST_VIEWS} are of use: what lies between so few views is "
+        "anybody's guess, and a score rests on one of them; take more"
+    ]  # fmt: skip
+
+
+def _apart(labels: Sequence[str], distance: Array, focals: Array, seen: Sequence[int] | None) -> list[str]:
+    """The cameras that stand apart, each with its reasons."""
+    if len(labels) < COMPARED:
+        return []
+    reasons: dict[int, list[str]] = {}
+    counts = () if seen is None else tuple(seen)
+    far, zoom = distance / max(np.median(distance), 1e-300), focals / np.median(focals)
+    for i in np.flatnonzero((far > FAR) | (far < 1 / FAR)).tolist():
+        reasons.setdefault(i, []).append(f"{far[i]:.2g} times as far from the scene")
+    odd = np.flatnonzero((zoom > ZOOMED) | (zoom < 1 / ZOOMED))
+    for i in odd.tolist() if len(odd) <= len(labels) / 4 else ():  # else several lenses were used
+        reasons.setdefault(i, []).append(f"focal length {zoom[i]:.2g} times as long")
+    usual = float(np.median(counts)) if counts else 0.0
+    for i, count in enumerate(counts):
+        if count < FEW_SEEN * usual:
+            reasons.setdefault(i, []).append(f"{count} points where others see {usual:.0f}")
+    return [f"{labels[i]} ({', '.join(why)})" for i, why in sorted(reasons.items())]
+
+
+def _focus(viewmats: Array) -> Array:
+    """The point nearest to all optical axes."""
+    centres, axes = invert_rigid(viewmats)[:, :3, 3], viewmats[:, 2, :3]
+    planes = np.eye(3) - axes[:, :, None] * axes[:, None, :]
+    ridge = 1e-3 * len(axes) * np.eye(3)  # of parallel axes, which meet nowhere
+    right = np.einsum("cij,cj->i", planes, centres) + ridge @ centres.mean(0)
+    return np.asarray(np.linalg.solve(planes.sum(0) + ridge, right))

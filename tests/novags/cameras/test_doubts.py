@@ -1,0 +1,83 @@
+"""Claims about doubts in cameras: said of each camera that stands apart, of too little to go by, and else not."""
+
+import cv2
+import numpy as np
+import pytest
+
+from novags.cameras.doubts import camera_doubts, few_views
+from simscenes import orbit_rig
+from simscenes.sets.pictures.png import write_png
+from simscenes.sets.readers.bare import without_masks
+
+COUNT = 10
+VIEWMATS = np.array(orbit_rig(COUNT, 40, 30, 50.0, radius=3.0).viewmats)
+LABELS = [f"{i}.jpg" for i in range(COUNT)]
+FOCALS = np.full(COUNT, 1.1)
+POINTS = np.random.default_rng(0).normal(0, 0.4, (900, 3))
+SEEN = [400] * COUNT
+
+
+def moved(factor: float) -> np.ndarray:
+    """The cameras with the one at place 4 that many times as far from the origin."""
+    viewmats = VIEWMATS.copy()
+    viewmats[4, :3, 3] *= factor
+    return viewmats
+
+
+def test_good_cameras_raise_no_doubt() -> None:
+    assert camera_doubts(LABELS, VIEWMATS, FOCALS, points=POINTS, seen=SEEN) == []
+    assert camera_doubts(LABELS, VIEWMATS, FOCALS) == []
+    assert camera_doubts(LABELS, moved(2.0), FOCALS * np.linspace(0.8, 1.2, COUNT), points=POINTS, seen=SEEN) == []
+    lenses = np.where(np.arange(COUNT) % 2, 1.1, 2.4)  # half of the photographs by another lens
+    assert camera_doubts(LABELS, VIEWMATS, lenses, points=POINTS, seen=SEEN) == []
+    assert few_views(8) == []
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_camera_far_from_the_others_with_another_lens_is_named_with_its_reasons(known: bool) -> None:
+    """As of the photographs of a church: 38 points, a focal length twice and a distance ten times the others'."""
+    focals, seen = FOCALS.copy(), list(SEEN)
+    focals[4], seen[4] = 2.2, 38
+    given = {"points": POINTS, "seen": seen} if known else {}
+    (note,) = camera_doubts(LABELS, moved(10.0), focals, **given)
+    assert note.startswith("1 of 10 cameras stand apart from the others: 4.jpg (")
+    assert "times as far from the scene, focal length 2 times as long" in note
+    assert ("38 points where others see 400" in note) == known
+
+
+def test_too_few_points_too_few_views_and_a_camera_that_only_turns_are_said() -> None:
+    (few,) = camera_doubts(LABELS[:5], VIEWMATS[:5], FOCALS[:5], points=POINTS[:82], seen=[30] * 5)
+    assert few.startswith(
+        "few points hold the cameras together: 82 in all, 30 in the median photograph, of at least 100"
+    )
+    turned = VIEWMATS.copy()
+    turned[:, :3, 3] = np.einsum("cij,j->ci", -turned[:, :3, :3], [0, 0, 3.0])
+    assert any(
+        "taken from one place" in said for said in camera_doubts(LABELS, turned, FOCALS, points=POINTS, seen=SEEN)
+    )
+    (note,) = few_views(5)
+    assert note.startswith("only 5 photographs have a camera, at least 8 are of use")
+
+
+@pytest.mark.parametrize("name", ["a_mask.png", "a.mask.png", "a.jpg.png", "masks/a.png", "whatever.png"])
+def test_masks_are_told_from_photographs_by_name_place_or_content(name: str, tmp_path) -> None:
+    rng = np.random.default_rng(0)
+    photographs = [tmp_path / f"{stem}.jpg" for stem in "abc"]
+    for file in photographs:
+        cv2.imwrite(str(file), rng.integers(0, 255, (60, 80, 3), np.uint8))
+    mask = np.zeros((60, 80, 3), np.uint8)
+    mask[20:40] = 255
+    write_png(tmp_path / name, mask)
+    assert without_masks([*photographs, tmp_path / name]) == (photographs, [tmp_path / name])
+
+
+def test_names_alone_do_not_make_masks(tmp_path) -> None:
+    rng, files = np.random.default_rng(0), []
+    for name in ("masks/a.png", "masks/b.png"):
+        write_png(tmp_path / name, rng.integers(0, 255, (60, 80, 3), np.uint8))
+        files.append(tmp_path / name)
+    assert without_masks(files) == (files, [])
+    write_png(tmp_path / "carnival_mask.png", rng.integers(0, 255, (60, 80, 3), np.uint8))
+    write_png(tmp_path / "d.png", rng.integers(0, 255, (60, 80, 3), np.uint8))
+    both = [tmp_path / "carnival_mask.png", tmp_path / "d.png"]
+    assert without_masks(both) == (both, [])
