@@ -23,7 +23,8 @@ from sensor_model.isp import srgb_to_linear
 from simscenes.rigs import Rig
 from simscenes.sets.geometry.tracks import SparsePoints, in_frame
 from simscenes.sets.pictures.exr import read_exr
-from simscenes.sets.pictures.image_file import WITH_ALPHA, has_alpha, read_rgb
+from simscenes.sets.pictures.image_file import WITH_ALPHA, has_alpha, read_light, read_rgb
+from simscenes.sets.pictures.meaning import is_deep
 from simscenes.sets.readers.bare import SUFFIXES, named_as_masks, picture_files
 from simscenes.sets.readers.colmap import find_colmap, read_colmap, read_points
 from simscenes.sets.readers.llff import is_llff
@@ -37,6 +38,7 @@ __all__ = ["MultiviewSet", "load_set", "write_cameras"]
 
 Image = NDArray[np.uint8]
 Float32 = NDArray[np.float32]
+DEEP = (".png", ".tif", ".tiff")  # formats of photographs that can have 16 bits
 GEOMETRY = ("Z", "distance", *(f"{kind}.{axis}" for kind in ("N", "Ng") for axis in "XYZ"),
             *(f"albedo.{c}" for c in "RGB"), "id", "material")  # fmt: skip
 LEAST_SEEN = 0.01  # share of first points in some picture; of a scan of a whole house few are, of another frame none
@@ -111,6 +113,10 @@ class MultiviewSet:
         clear = (file for file in self.files if file.suffix.lower() in WITH_ALPHA)
         return self.kind == "photographs" and any(has_alpha(file) for file in clear)
 
+    def is_deep(self, i: int) -> bool:
+        """Whether view `i` is a photograph of more than 8 bits, whose codes are light unless it says otherwise."""
+        return self.kind == "photographs" and self.files[i].suffix.lower() in DEEP and is_deep(self.files[i])
+
     def image(self, i: int) -> Image:
         """The sRGB image of view `i`, uint8 [h,w,3], undistorted, before white where it is transparent.
 
@@ -123,9 +129,14 @@ class MultiviewSet:
         return self.lenses[i].undistort(rgb, self.rig.Ks[i])
 
     def radiance(self, i: int) -> Float32:
-        """Linear RGB of view `i`, float32 [h,w,3]: the rendered radiance, else the image with sRGB undone."""
+        """Linear RGB of view `i`, float32 [h,w,3]: the rendered radiance; of a photograph the light in its 16-bit codes,
+        or the 8-bit image with sRGB undone.
+        """
         if self.kind == "rendered":
             return _stack(self._truth(i, "R", "G", "B"), "R", "G", "B")
+        if self.is_deep(i):
+            light = read_light(self.files[i])
+            return light if self.lenses is None else self.lenses[i].undistort(light, self.rig.Ks[i])
         return srgb_to_linear(self.image(i) / np.float32(255))
 
     def variance(self, i: int) -> Float32 | None:

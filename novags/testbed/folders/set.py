@@ -15,6 +15,7 @@ from novags.cameras.doubts import camera_doubts
 from novags.numbers import SSIM_WINDOW
 from novags.testbed.console.terminal import Console, warnings_as_notes
 from novags.testbed.folders.exchanged import refuse_exchanged
+from novags.testbed.folders.photographs.raw_files import is_raw, skipped_steps
 from novags.testbed.ledger.contents import folder_digest
 from sensor_model.files.door import enter
 from sensor_model.files.records import Reads, read_once
@@ -24,7 +25,7 @@ from simscenes.rigs import Rig
 from simscenes.sets.geometry.plausible import with_tested_tracks
 from simscenes.sets.geometry.tracks import SparsePoints
 from simscenes.sets.multiview import READERS, MultiviewSet, is_rendered, load_set
-from simscenes.sets.pictures.image_file import WITH_ALPHA, has_alpha
+from simscenes.sets.pictures.image_file import WITH_ALPHA, has_alpha, stated_curve
 from simscenes.sets.readers.llff import POSES
 from simscenes.sets.readers.nerf_synthetic import PARTS
 
@@ -33,6 +34,8 @@ MODEL = tuple(f"{part}.{suffix}" for part in ("cameras", "images", "points3D") f
 READ_FROM = ("set.json", "capture.json", "transforms.json", *PARTS, POSES, "nb-info.json", "sparse", "sparse/0",
              "colmap_sparse", "colmap/sparse", "gt", *MODEL)  # fmt: skip
 
+# How codes of 16 bits are taken.
+WORDS = {"linear": "linear light", "srgb": "sRGB-encoded, as the files say"}
 EXPOSURES = 1e30  # more would make NaN of a black pixel in float32
 NOISE = 0.01  # of a photograph's bright light: values further below 0 are not noise
 
@@ -72,6 +75,11 @@ class Source:
     def scaled(self) -> bool:
         """Whether images differ in size from the set's own."""
         return (self.rig.width, self.rig.height) != (self.views.rig.width, self.views.rig.height)
+
+    @property
+    def codes16(self) -> str | None:
+        """How 16-bit codes of photographs are taken, "linear" or "srgb"; None: the first one has 8 bits."""
+        return (stated_curve(self.views.files[0]) or "linear") if self.views.is_deep(0) else None
 
     @property
     def modules(self) -> tuple[str, ...]:
@@ -182,8 +190,12 @@ class Source:
         return folder_digest(self.views.path, READ_FROM, beside=images)
 
     def _say_background(self, i: int) -> None:
-        """Say that a photograph is before white, where it can be transparent."""
+        """Say that a photograph is before white, where it can be transparent, and which light its codes are."""
         file = self.views.files[i]
+        if self.views.is_deep(i):
+            curve = stated_curve(file) or "linear"
+            self.console.warn(f"pictures of {self.views.path} have 16 bits: their codes are taken as {WORDS[curve]}")
+        say_skipped(file, self.views.path, self.console)
         if self.views.kind == "photographs" and file.suffix.lower() in WITH_ALPHA and has_alpha(file):
             self.console.warn(f"pictures of {self.views.path} have an alpha channel: the background of their pixels "
                               "counts as white")  # fmt: skip
@@ -236,6 +248,13 @@ def source_of(views: MultiviewSet, console: Console, max_size: int | None = None
         size = f"{rig.width} x {rig.height}"
         raise ValueError(f"the images of {path} must be at least {SSIM_WINDOW} px wide and high, got {size}{larger}")
     return Source(views=views, rig=rig, console=console)
+
+
+def say_skipped(file: Path, folder: Path, console: Console) -> None:
+    """Say which steps of development a raw file of a folder asks for that are not done."""
+    if is_raw(file) and (steps := skipped_steps(file)):
+        console.warn(f"raw files of {folder} ask for {', '.join(steps)} and let readers pass over it: that is not done, so "
+                     "that light and lens are those of the sensor")  # fmt: skip
 
 
 NAMED = 20  # photographs that a line of the console names

@@ -70,7 +70,7 @@ class Darkroom:
         if is_raw(file):
             assert self.camera is not None
             return self._fit(self._undistort(self._cut(self.camera.develop(self.camera.codes(file)), file), i))
-        return self._decoded(self._cut(read_stored(file), file), i)
+        return self._decoded(self._cut(read_stored(file), file), file, i)
 
     def srgb8(self, file: Path, i: int) -> np.ndarray:
         """The 8-bit sRGB picture of view `i`, uint8 [h,w,3]: as stored, if there is one and nothing is scaled.
@@ -80,7 +80,7 @@ class Darkroom:
         """
         if is_raw(file):
             return np.asarray(to_srgb8(self.linear(file, i)))
-        return self._shown(self._cut(read_stored(file), file), i)
+        return self._shown(self._cut(read_stored(file), file), file, i)
 
     def lit8(self, file: Path, i: int) -> np.ndarray:
         """A well-lit picture of view `i`, uint8 [h,w,3]; a raw file as LibRaw develops it, with its own balance.
@@ -89,7 +89,7 @@ class Darkroom:
             ValueError: As `linear`.
         """
         if not is_raw(file):
-            return self._shown(self._level(read_stored(file), file), i)
+            return self._shown(self._level(read_stored(file), file), file, i)
         return np.asarray(to_srgb8(self._fit(self._undistort(self._cut(read_radiance(file), file), i))))
 
     def frame(self, file: Path) -> tuple[np.ndarray, Sensor]:
@@ -100,14 +100,14 @@ class Darkroom:
         top, left = ((a - b) // 2 for a, b in zip(whole.shape[:2], part.shape[:2], strict=True))
         return np.ascontiguousarray(part), self.camera.cut_sensor(top, left)
 
-    def _decoded(self, stored: np.ndarray, i: int) -> np.ndarray:
+    def _decoded(self, stored: np.ndarray, file: Path, i: int) -> np.ndarray:
         # Codes are undistorted before they are decoded, as for every other set of photographs.
-        return self._fit(self.codes.linear(self._undistort(stored, i)))
+        return self._fit(self.codes.of(file).linear(self._undistort(stored, i)))
 
-    def _shown(self, stored: np.ndarray, i: int) -> np.ndarray:
+    def _shown(self, stored: np.ndarray, file: Path, i: int) -> np.ndarray:
         if stored.dtype == np.uint8 and not self._scaled:
             return self._undistort(stored, i)
-        return np.asarray(to_srgb8(self._decoded(stored, i)))
+        return np.asarray(to_srgb8(self._decoded(stored, file, i)))
 
     def _pixel_off(self, image: np.ndarray) -> bool:
         rig = self.views.rig

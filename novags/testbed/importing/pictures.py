@@ -11,7 +11,9 @@ import numpy as np
 from novags.testbed.metrics.picture import Image
 from sensor_model.isp import srgb_to_linear
 from simscenes.sets.pictures.exr import read_exr
-from simscenes.sets.pictures.image_file import before_white, has_alpha, read_image
+from simscenes.sets.pictures.exr_meaning import refuse_foreign, refuse_pixels
+from simscenes.sets.pictures.image_file import before_white, has_alpha, read_image, read_light
+from simscenes.sets.pictures.meaning import is_deep
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".exr")
 NAMED = 10  # views that an error names
@@ -113,24 +115,21 @@ def read_picture(file: Path, width: int, height: int) -> ForeignPicture:
 
 
 def _read_codes(file: Path) -> ForeignPicture:
+    if is_deep(file):
+        return ForeignPicture(read_light(file), "16-bit")
     if has_alpha(file):
-        shares, bits = before_white(file)
-        return ForeignPicture(shares, "16-bit" if bits == 16 else "8-bit")
-    bgr = read_image(file, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
-    if bgr.dtype not in (np.uint8, np.uint16):
-        raise ValueError(f"{file} must hold 8- or 16-bit codes, got {bgr.dtype}: write PNG or EXR")
-    largest = np.float32(np.iinfo(bgr.dtype).max)
-    return ForeignPicture(
-        np.ascontiguousarray(bgr[..., ::-1]).astype(np.float32) / largest,
-        "8-bit" if bgr.dtype == np.uint8 else "16-bit",
-    )
+        return ForeignPicture(before_white(file)[0], "8-bit")
+    bgr = read_image(file, cv2.IMREAD_COLOR)
+    return ForeignPicture(np.ascontiguousarray(bgr[..., ::-1]).astype(np.float32) / np.float32(255), "8-bit")
 
 
 def _read_exr(file: Path) -> ForeignPicture:
+    refuse_foreign(file)
     channels, _ = read_exr(file)
     if missing := [name for name in "RGB" if name not in channels]:
         raise ValueError(f"{file} lacks the channels {', '.join(missing)}, it has {_listed(sorted(channels))}: write "
                          "R, G and B")  # fmt: skip
+    refuse_pixels(channels, file)
     values = np.stack([channels[name] for name in "RGB"], axis=-1).astype(np.float32)
     if "Z" not in channels:
         return ForeignPicture(values, "EXR")

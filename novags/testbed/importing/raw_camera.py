@@ -44,10 +44,11 @@ class RawCamera:
             if here != first:
                 raise ValueError(f"{file} has the {what} {here}, the first raw file {first}: import one camera's files")
         dn = read_digital_numbers(file)
-        shift = np.round(common_black(self.format) - np.array(stated.black)).astype(np.int32)
+        blacks = np.array(stated.black) if stated.levels is None else stated.levels
+        shift = np.round(common_black(self.format) - blacks).astype(np.int32)
         if not shift.any():
             return dn
-        if dn.ndim == 2:
+        if dn.ndim == 2 and stated.levels is None:
             rows, columns = np.indices(dn.shape) % 2
             shift = shift[2 * rows + columns]
         return np.clip(dn.astype(np.int32) + shift, 0, 65535).astype(np.uint16)

@@ -1,8 +1,8 @@
 """Picture files as a camera or a converter left them: 8-bit sRGB, 16-bit linear or sRGB, camera raw."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
 import cv2
 import numpy as np
@@ -11,12 +11,13 @@ from novags.testbed.folders.photographs.raw_files import SUFFIXES as RAW
 from novags.testbed.folders.photographs.raw_files import is_raw
 from sensor_model.files.door import read_bytes
 from sensor_model.isp import srgb_to_linear
-from simscenes.sets.pictures.image_file import alpha_of, has_alpha, header, read_image
+from simscenes.sets.pictures.image_file import alpha_of, has_alpha, header, read_image, stated_curve
+from simscenes.sets.pictures.mosaic import refuse_mosaic
 
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", *RAW)
 
 Depth = Literal["8bit", "16bit", "raw"]
-Curve = Literal["linear", "srgb"]
+Curve = Literal["auto", "linear", "srgb"]  # auto: as the file says, else linear
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,15 +26,23 @@ class Codes16:
 
     black: float = 0.0  # code of no light
     white: float = 65535.0  # code of white
-    curve: Curve = "linear"  # of the codes between the two
+    curve: Curve = "auto"  # of the codes between the two
 
     def __post_init__(self) -> None:
         if not 0 <= self.black < self.white <= 65535:
             raise ValueError(
                 f"the levels of 16-bit files must be 0 <= black < white <= 65535, got {self.black:g} and {self.white:g}"
             )
-        if self.curve not in ("linear", "srgb"):
-            raise ValueError(f"the curve of 16-bit files must be linear or srgb, got {self.curve!r}")
+        if self.curve not in get_args(Curve):
+            raise ValueError(f"the curve of 16-bit files must be one of {', '.join(get_args(Curve))}, got {self.curve!r}")
+
+    def of(self, file: Path) -> "Codes16":
+        """The same with the curve of a file, where `curve` leaves it to the file.
+
+        Raises:
+            ValueError: If it is not an image.
+        """
+        return self if self.curve != "auto" else replace(self, curve=stated_curve(file) or "linear")
 
     def linear(self, codes: np.ndarray) -> np.ndarray:
         """Linear light float32, 0 = black, 1 = white, of 8-bit sRGB codes or of 16-bit codes; not clipped at black."""
@@ -47,11 +56,12 @@ def read_stored(file: Path) -> np.ndarray:
     """The codes of a picture that is not camera raw, RGB, uint8 or uint16 [h,w,3], as stored (no rotation).
 
     Raises:
-        ValueError: If it cannot be read, or is not 8 or 16 bits deep.
+        ValueError: If it cannot be read, is not 8 or 16 bits deep, or is a mosaic.
     """
     pixels = read_image(file, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
     if pixels.dtype not in (np.uint8, np.uint16):
         raise ValueError(f"{file} must hold 8- or 16-bit codes, got {pixels.dtype}: convert it to 16-bit PNG or TIFF")
+    refuse_mosaic(pixels, file)
     return np.ascontiguousarray(pixels[..., ::-1])
 
 

@@ -168,6 +168,7 @@ def capture_views(
             "kind": source.views.kind,
             "max_size": config.max_size,
             "background": "white" if source.views.transparent else None,  # behind transparent pixels
+            **({} if source.codes16 is None else {"codes16": source.codes16}),
         },
         "scene": source.views.scene,
         "sensor_name": config.sensor_name,

@@ -16,6 +16,9 @@ from numpy.typing import NDArray
 
 from sensor_model.files.door import PICTURE, opened
 from sensor_model.files.reading import brief
+from sensor_model.isp import srgb_to_linear, to_srgb8
+from simscenes.sets.pictures.meaning import Curve, curve_of, is_deep, unfit
+from simscenes.sets.pictures.mosaic import refuse_mosaic
 from simscenes.sets.pictures.tiff import (
     AS_STORED,
     EXTRA_SAMPLES,
@@ -42,12 +45,16 @@ def image_size(file: Path) -> tuple[int, int]:
     """Width and height of an image file, from its header alone.
 
     Raises:
-        ValueError: If it is not an image, or larger than `MAX_PIXELS`.
+        ValueError: If it is not an image, larger than `MAX_PIXELS`, or says that its codes mean something else than
+            those of a photograph (see `meaning`).
     """
     with header(file) as image:
         width, height = image.size
+        problem = "" if width * height > MAX_PIXELS else unfit(file, image)
     if width * height > MAX_PIXELS:
         raise ValueError(f"{file} declares {width} x {height} pixels, at most {MAX_PIXELS} can be read: scale it down")
+    if problem:
+        raise ValueError(f"{file} {problem}")
     return width, height
 
 
@@ -150,15 +157,47 @@ def has_alpha(file: Path) -> bool:
 def read_rgb(file: Path) -> NDArray[np.uint8]:
     """Pixels as stored, 8-bit sRGB [h,w,3]; transparent ones before a white background, mixed as codes are.
 
-    A mark of orientation is ignored, since poses refer to the pixels as stored.
+    A mark of orientation is ignored, since poses refer to the pixels as stored. Light of a deep picture is encoded.
 
     Raises:
-        ValueError: If it is missing, not a readable image, or larger than `MAX_PIXELS`.
+        ValueError: If it is missing, not a readable image, or larger than `MAX_PIXELS`, or a mosaic.
     """
+    if file.is_file() and is_deep(file):
+        return np.asarray(to_srgb8(read_light(file)), np.uint8)
     if file.is_file() and has_alpha(file):
         return np.asarray(np.round(255 * before_white(file)[0]), np.uint8)
     pixels = read_image(file, cv2.IMREAD_COLOR)
+    refuse_mosaic(pixels, file)
     return np.ascontiguousarray(pixels[..., ::-1])
+
+
+def read_light(file: Path) -> NDArray[np.float32]:
+    """Linear light [h,w,3] of a picture of more than 8 bits, 1 = the largest code; before white where transparent.
+
+    Its codes are light, unless the file says that they are sRGB-encoded.
+
+    Raises:
+        ValueError: As `read_rgb`, or if it has not 16 bits.
+    """
+    if has_alpha(file):
+        shares = before_white(file)[0]
+    else:
+        pixels = read_image(file, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
+        if pixels.dtype != np.uint16:
+            raise ValueError(f"{file} must hold 8- or 16-bit codes, got {pixels.dtype}: convert it to 16-bit PNG or TIFF")
+        refuse_mosaic(pixels, file)
+        shares = np.ascontiguousarray(pixels[..., ::-1]).astype(np.float32) / np.float32(65535)
+    return np.asarray(srgb_to_linear(shares), np.float32) if stated_curve(file) == "srgb" else shares
+
+
+def stated_curve(file: Path) -> Curve | None:
+    """The curve that a picture states for its codes; None where it states none.
+
+    Raises:
+        ValueError: If it is not an image.
+    """
+    with header(file) as image:
+        return curve_of(file, image)
 
 
 def before_white(file: Path) -> tuple[NDArray[np.float32], int]:

@@ -13,12 +13,11 @@ from typing import Any
 import numpy as np
 
 from novags.testbed.folders.photographs import raw_files
-from sensor_model.files.door import PICTURE, admitted
-from sensor_model.files.reading import brief
 from sensor_model.isp import to_srgb8
 from simscenes.rigs import opengl_to_opencv
 from simscenes.sets.multiview import MultiviewSet
 from simscenes.sets.pictures.exr import read_exr
+from simscenes.sets.pictures.exr_meaning import refuse_clear, refuse_foreign, refuse_pixels
 from simscenes.sets.readers.colmap import colmap_lens, colmap_views, find_colmap
 from simscenes.sets.readers.finding import spelt
 from simscenes.sets.readers.photographs import (
@@ -162,30 +161,24 @@ def read_linear(file: Path) -> np.ndarray:
     """Linear RGB of a raw or EXR file, float32 [h,w,3].
 
     Raises:
-        ValueError: If the file cannot be read, or is an EXR without the channels R, G, B.
+        ValueError: If the file cannot be read, or is an EXR that is not one whole opaque picture with R, G and B in
+            linear sRGB (see `exr_meaning`).
     """
     if raw_files.is_raw(file):
         return raw_files.read_radiance(file)
+    refuse_foreign(file)
     channels, _ = read_exr(file)
     if not {"R", "G", "B"} <= channels.keys():
         raise ValueError(f"{file} must have the channels R, G, B, got {', '.join(sorted(channels))}")
+    refuse_pixels(channels, file)
+    refuse_clear(channels, file)
     return np.stack([channels[name] for name in "RGB"], axis=-1).astype(np.float32)
 
 
 def _size(file: Path) -> tuple[int, int]:
     if raw_files.is_raw(file):
         return raw_files.size(file)
-    import OpenEXR
-
-    try:
-        with OpenEXR.File(admitted(file, most=PICTURE), header_only=True) as image:
-            (low, high), whole = (image.header()[window] for window in ("dataWindow", "displayWindow"))
-    except Exception as error:  # OpenEXR raises several types
-        raise ValueError(f"{file} is not a readable EXR file ({brief(error)})") from error
-    if not np.array_equal((low, high), whole):  # a part has another principal point than its camera
-        raise ValueError(f"{file} holds a part of its picture, or more than it (data window {low.tolist()} to "
-                         f"{high.tolist()}, display window {whole[0].tolist()} to {whole[1].tolist()}): save whole "
-                         "pictures")  # fmt: skip
+    low, high = refuse_foreign(file)["dataWindow"]
     return int(high[0] - low[0] + 1), int(high[1] - low[1] + 1)
 
 

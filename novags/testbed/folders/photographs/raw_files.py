@@ -8,14 +8,20 @@ from typing import Any
 
 import numpy as np
 
+from novags.testbed.folders.photographs.dng_meaning import EVEN, read_dng
 from sensor_model.files.dng import SMALLEST, XYZ_TO_SRGB
 from sensor_model.files.door import PICTURE, admitted
 from sensor_model.files.reading import brief
+from sensor_model.isp import interpolate
 from sensor_model.params import CFAS, Cfa
+from simscenes.sets.pictures.mosaic import is_mosaic
 
 SUFFIXES = (".dng", ".nef", ".nrw", ".cr2", ".cr3", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw")
 CLIPPED = 0.5  # of the white level: pixels of many cameras are full at 0.8 to 1 of it
 LOST = 0.01  # of the rows: where more of them repeat their first two codes, a part of the picture is missing
+# Codes may be above the white level, where a camera saturates unevenly; many that are half as large again are of
+# another scale. Codes of no light scatter around the black level, by less than this share of the range.
+OVER, SOME, BELOW = 1.5, 0.02, 0.02
 IDENTITY = 1e-3  # files keep matrices as float32 and short fractions; the eye sees nothing of it
 
 
@@ -44,7 +50,8 @@ def read_mosaic(path: Path) -> Mosaic:
         dn = raw.raw_image_visible
         if dn is None or dn.ndim != 2:
             raise ValueError(f"{path} holds no mosaic of the sensor's own pixels: give unprocessed raw files")
-        return Mosaic(np.array(dn), _pattern(raw, path), _time(raw), int(raw.white_level).bit_length())
+        dn = np.array(_part(raw.raw_image, raw, path))
+        return Mosaic(dn, _pattern(raw, path), _time(raw), int(raw.white_level).bit_length())
 
 
 @dataclass(frozen=True)
@@ -54,10 +61,12 @@ class RawFormat:
     shape: tuple[int, ...]  # [h,w] of a mosaic, [h,w,3] of three chips
     cfa: Cfa | None  # None: every pixel has all three channels
     black: tuple[float, ...]  # DN, of each place in the 2 x 2 cell, row by row; of three chips, of each channel
+    #   Where levels repeat over more pixels or differ by rows: the means of these places, and `levels` has each.
     white: float  # DN
     response: tuple[float, float, float]  # of the camera's channels to the camera's white, green = 1
     color_matrix: np.ndarray | None  # [3,3], white-balanced camera RGB -> linear sRGB; None: they are the same
     time: float | None  # s
+    levels: np.ndarray | None = None  # DN, black of each pixel of a mosaic, [h,w]; None: `black` says all
 
 
 def read_format(path: Path) -> RawFormat:
@@ -68,12 +77,11 @@ def read_format(path: Path) -> RawFormat:
             states levels or colours that no camera has.
     """
     with _opened(path) as raw:
-        codes = raw.raw_image_visible
+        codes = _part(raw.raw_image, raw, path)
         if raw.num_colors == 1:
             raise ValueError(f"{path} is monochrome; only colour raw files can be imported: convert it to 16-bit PNG")
-        blacks, mosaic = raw.black_level_per_channel, codes.ndim == 2
-        places = np.ravel(raw.raw_colors_visible[:2, :2]) if mosaic else range(3)
-        black, white = tuple(float(blacks[k]) for k in places), float(raw.white_level)
+        mosaic, white = codes.ndim == 2, float(raw.white_level)
+        black, levels = _black(raw, path, codes.shape)
         if not 0 <= max(black) < white <= 65535:
             raise ValueError(f"{path} states black levels {black} and the white level {white:g}: they must be rising")
         return RawFormat(
@@ -84,7 +92,41 @@ def read_format(path: Path) -> RawFormat:
             response=_response(raw, path),
             color_matrix=_color_matrix(raw, path),
             time=_time(raw),
+            levels=levels,
         )
+
+
+def _black(raw: Any, path: Path, shape: tuple[int, ...]) -> tuple[tuple[float, ...], np.ndarray | None]:
+    """Levels of the four places of a cell, or of three channels; and of each pixel where the cell does not say all.
+
+    LibRaw keeps the least level of patterns larger than 2 x 2, and one place's for another's where it drops a row.
+    """
+    facts, mosaic = read_dng(path), len(shape) == 2
+    if facts is None or facts.black is None:
+        blacks = raw.black_level_per_channel
+        places = np.ravel(_part(raw.raw_colors, raw, path)[:2, :2]) if mosaic else range(3)
+        return tuple(float(blacks[k]) for k in places), None
+    rows, columns, samples = facts.black.shape
+    if not mosaic:
+        if np.ptp(facts.black, (0, 1)).max() > EVEN:
+            raise ValueError(f"{path} states black levels of three channels that differ by place ({rows} x {columns}), "
+                             "which are not read: convert it with the black level subtracted")  # fmt: skip
+        means = np.resize(facts.black.mean((0, 1)), 3)
+        return tuple(float(v) for v in means), None
+    whole = np.tile(facts.black[..., 0], (-(-shape[0] // rows), -(-shape[1] // columns)))[: shape[0], : shape[1]]
+    places = [whole[y::2, x::2] for y in (0, 1) for x in (0, 1)]
+    uneven = any(np.ptp(place) > EVEN for place in places)
+    return tuple(float(place.mean()) for place in places), whole if uneven else None
+
+
+def skipped_steps(path: Path) -> tuple[str, ...]:
+    """Steps of development that a raw file asks for and that are passed over, as the file allows.
+
+    Raises:
+        ValueError: If it asks for one that must not be passed over.
+    """
+    facts = read_dng(path)
+    return () if facts is None else facts.skipped
 
 
 def read_exposure(path: Path) -> tuple[float | None, float | None, float | None]:
@@ -147,14 +189,15 @@ def read_digital_numbers(path: Path) -> np.ndarray:
         ValueError: If the file cannot be read.
     """
     with _opened(path) as raw:
-        dn = np.array(raw.raw_image_visible)
+        dn = np.array(_part(raw.raw_image, raw, path))
         return dn if dn.ndim == 2 else np.ascontiguousarray(dn[..., :3])
 
 
 def _pattern(raw: Any, path: Path) -> Cfa | None:
     if raw.num_colors == 1:
         return None
-    letters = "".join(chr(raw.color_desc[i]) for i in np.ravel(raw.raw_pattern))
+    pattern = raw.raw_pattern if len(raw.raw_pattern) > 2 else _part(raw.raw_colors, raw, path)[:2, :2]
+    letters = "".join(chr(raw.color_desc[i]) for i in np.ravel(pattern))
     found = [cfa for cfa in CFAS if cfa == letters]
     if not found:
         raise ValueError(
@@ -167,11 +210,14 @@ def read_radiance(path: Path) -> np.ndarray:
     """Linear sRGB float32 [h,w,3], 1 = white level: black level, white balance, AHD demosaicing, colour matrix.
 
     The balance comes from `read_format`, so that LibRaw does not make each picture grey where a file states none.
-    Pixels stay as stored (no rotation), because poses refer to the stored pixels.
+    Pixels stay as stored (no rotation), because poses refer to the stored pixels. Where LibRaw would drop a row, or
+    mistake the levels, the demosaicing is Menon's (see `develop_linear`).
 
     Raises:
         ValueError: If the file cannot be read.
     """
+    if (own := _developed(path)) is not None:
+        return own
     with _opened(path) as raw:
         red, green, blue = (1 / share for share in _response(raw, path))
         codes = raw.postprocess(
@@ -185,6 +231,27 @@ def read_radiance(path: Path) -> np.ndarray:
     return codes.astype(np.float32) / np.float32(65535)
 
 
+def _developed(path: Path) -> np.ndarray | None:
+    """Linear sRGB of a mosaic that LibRaw does not develop rightly; None of all others."""
+    facts = read_dng(path)
+    odd = facts is not None and facts.active is not None and (facts.active[0] % 2 or facts.active[1] % 2)
+    if facts is None or not (odd or (facts.black is not None and np.ptp(facts.black) > EVEN)):
+        return None
+    stated = read_format(path)
+    if stated.cfa is None:
+        return None
+    levels = np.resize(stated.black, (2, 2)) if stated.levels is None else stated.levels
+    h, w = stated.shape
+    whole = np.tile(levels, (-(-h // levels.shape[0]), -(-w // levels.shape[1])))[:h, :w]
+    light = (read_digital_numbers(path) - whole) / (stated.white - whole) / np.take(
+        stated.response, np.resize(["RGB".index(c) for c in stated.cfa], (2, 2))[np.ix_(np.arange(h) % 2, np.arange(w) % 2)]
+    )
+    linear = interpolate(light, stated.cfa, "menon")
+    if stated.color_matrix is not None:
+        linear = np.minimum(linear, 1.0) @ stated.color_matrix.T
+    return np.clip(linear, 0, 1).astype(np.float32)
+
+
 def size(path: Path) -> tuple[int, int]:
     """Width and height of the result of `read_radiance`, from the header alone.
 
@@ -192,7 +259,22 @@ def size(path: Path) -> tuple[int, int]:
         ValueError: If the file cannot be read.
     """
     with _opened(path, pixels=False) as raw:
-        return raw.sizes.width, raw.sizes.height
+        area = _active(path)
+        return (raw.sizes.width, raw.sizes.height) if area is None else (area[3] - area[1], area[2] - area[0])
+
+
+def _active(path: Path) -> tuple[int, int, int, int] | None:
+    facts = read_dng(path)
+    return None if facts is None else facts.active
+
+
+def _part(whole: np.ndarray, raw: Any, path: Path) -> np.ndarray:
+    """The pixels of a frame that see light. LibRaw drops a row or a column of them where the margin is odd."""
+    top, left, bottom, right = _active(path) or (0, 0, 0, 0)
+    if not bottom:
+        top, left = raw.sizes.top_margin, raw.sizes.left_margin
+        bottom, right = top + raw.sizes.height, left + raw.sizes.width
+    return whole[top:bottom, left:right]
 
 
 def _check_whole(raw: Any, path: Path) -> None:
@@ -208,6 +290,7 @@ def _check_whole(raw: Any, path: Path) -> None:
     codes = raw.raw_image_visible
     if codes is None or codes.shape[1] < 4:
         return
+    _check_codes(codes, raw, path)
     codes = codes if codes.ndim == 2 else codes[..., :3]  # LibRaw adds an empty fourth channel
     repeats = (codes[:, 2:] == codes[:, :-2]).reshape(len(codes), -1).all(1)
     pairs = codes[:, :2].reshape(len(codes), -1).astype(np.int64)
@@ -220,12 +303,38 @@ def _check_whole(raw: Any, path: Path) -> None:
                          "codes: it is cut short or damaged, copy it again")  # fmt: skip
 
 
+def _check_codes(codes: np.ndarray, raw: Any, path: Path) -> None:
+    """Refuse codes that do not fit what the file says of them: levels of another scale, filters of another pattern.
+
+    Raises:
+        ValueError: If they do not.
+    """
+    codes = codes if codes.ndim == 2 else codes[..., :3]
+    white, black = float(raw.white_level), float(min(raw.black_level_per_channel))
+    over = float((codes > OVER * white).mean())
+    if over > SOME:
+        raise ValueError(f"{path} states the white level {white:g}, and {over:.0%} of its codes are above {OVER:g} times "
+                         f"that, up to {codes.max()}: they are probably shifted to the top of 16 bits, or the level is of "
+                         "another camera; convert it again with the level that its codes have")  # fmt: skip
+    middle = float(np.median(codes))
+    if middle < black - BELOW * (white - black):
+        raise ValueError(f"{path} states the black level {black:g}, and half of its codes are at most {middle:g}: black is "
+                         "probably subtracted already, or stated in other units than the codes; convert it again with "
+                         "the level that its codes have")  # fmt: skip
+    if codes.ndim == 2 and raw.num_colors > 1 and is_mosaic(*(codes[y::2, x::2] for y in (0, 1) for x in (0, 1))):
+        raise ValueError(f"{path} states a colour filter array of 2 x 2, and pixels behind the same filter differ with a "
+                         "period of 4 pixels over the whole picture: it is probably of a Quad Bayer sensor, whose "
+                         "filters are 4 x 4; let the camera write binned raw files, or demosaic it to LinearRaw or "
+                         "16-bit RGB first")  # fmt: skip
+
+
 @contextmanager
 def _opened(path: Path, *, pixels: bool = True) -> Iterator[Any]:
     import rawpy
 
     name = admitted(path, most=PICTURE)
     try:
+        read_dng(path)  # refuses what LibRaw would read as something else
         with rawpy.RawPy() as raw:
             raw.open_file(name)
             if pixels:

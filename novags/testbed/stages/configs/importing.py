@@ -28,7 +28,7 @@ class ImportConfig:
     time: float | None = None  # s, of the dark exposures; None: from raw files, else unknown and counted as 0
     black: float = 0.0  # code of no light in 16-bit files
     white: float = 65535.0  # code of white in them
-    curve: Curve = "linear"  # of their codes in between
+    curve: Curve = "auto"  # of their codes in between; auto: as the file says, else linear
     demosaic: Demosaic = "menon"  # for raw files with a colour filter array
     max_size: int | None = None  # px; scale larger pictures down to this longest side
     split: Split = "own"  # which views are held out

@@ -1,0 +1,101 @@
+"""What a picture file says of its codes, beside the codes: their curve, their colours, how many pictures it holds.
+
+8-bit codes are taken as sRGB-encoded and 16-bit ones as linear. A file that says otherwise is decoded as it says where
+that can be done, and refused by name where it cannot. Colours of other primaries than sRGB's are said once.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal
+
+from simscenes.sets.pictures.png_chunks import chunks_of_png, curve_of_png, unfit_png
+from simscenes.sets.pictures.profile import has_other_primaries, kind_of, middle_of
+from simscenes.sets.pictures.tiff import BITS, tiff_tags
+from simscenes.sets.pictures.tiff_meaning import unfit_tiff
+
+Curve = Literal["linear", "srgb"]
+
+
+def unfit(file: Path, image: Any) -> str:
+    """Why the pixels of a picture are not what a photograph holds, and what to do; "" if they are.
+
+    Args:
+        file: The picture.
+        image: The same, as PIL opens it.
+
+    Raises:
+        OSError: If it cannot be read.
+    """
+    chunks = chunks_of_png(file)
+    if problem := unfit_png(chunks) or unfit_tiff(file, image) or _several(image):
+        return problem
+    if image.mode == "CMYK":
+        return "is a picture in CMYK, the inks of a printer, which is not read: save it as RGB"
+    kind, who = _stated(image, chunks)
+    if who and not kind:
+        return (f"states another curve between codes and light than sRGB ({who}), which is not read: save it as sRGB, "
+                "or with linear codes in 16 bits")  # fmt: skip
+    if kind == "linear" and not is_deep(file):
+        return (f"states linear codes ({who}) and has 8 bits, which are taken as sRGB-encoded: save it as sRGB, or with "
+                "linear codes in 16 bits")  # fmt: skip
+    return ""
+
+
+def curve_of(file: Path, image: Any) -> Curve | None:
+    """The curve that a picture, as PIL opens it, states for its codes; None where it states none.
+
+    Raises:
+        OSError: If it cannot be read.
+    """
+    kind, _ = _stated(image, chunks_of_png(file))
+    return None if kind not in ("linear", "srgb") else kind  # type: ignore[return-value]  # mypy does not narrow
+
+
+def is_deep(file: Path) -> bool:
+    """Whether a picture has more than 8 bits a channel, from its header alone.
+
+    Raises:
+        OSError: If it cannot be read.
+    """
+    if head := chunks_of_png(file).get(b"IHDR"):
+        return len(head) > 8 and head[8] > 8
+    bits = tiff_tags(file).get(BITS)
+    return bits is not None and max(bits.values) > 8
+
+
+def other_primaries(image: Any) -> bool:
+    """Whether the picture's colours are stated to be of other primaries than sRGB's, as telephones' P3."""
+    profile = image.info.get("icc_profile")
+    return isinstance(profile, bytes) and has_other_primaries(profile)
+
+
+def _stated(image: Any, chunks: dict[bytes, bytes]) -> tuple[str, str]:
+    """The curve ("" another one than is known) and who says so ("" nobody)."""
+    if (found := curve_of_png(chunks)) is not None:
+        return found
+    profile = image.info.get("icc_profile")
+    middle = middle_of(profile) if isinstance(profile, bytes) else None
+    return ("", "") if middle is None else (kind_of(middle), f"colour profile, half of the codes is {middle:.3f} of light")
+
+
+def _several(image: Any) -> str:
+    """Whether a file holds several pictures of full size; of TIFF and PNG `unread` and the chunks say it.
+
+    A telephone's JPEG has smaller pictures behind its own: gain maps, depth, previews.
+    """
+    if image.format not in ("MPO", "WEBP") or (count := getattr(image, "n_frames", 1)) < 2:
+        return ""
+    if image.format == "MPO":
+        size, others = image.size, []
+        try:
+            for number in range(1, count):
+                image.seek(number)
+                others.append(image.size)
+        except (EOFError, OSError, ValueError, SyntaxError):  # cut short behind the first picture, which is whole
+            others = [s for s in others if s]
+        finally:
+            image.seek(0)
+        if not any(w >= size[0] and h >= size[1] for w, h in others):
+            return ""
+    return f"holds {count} pictures, of which only the first is read: save each as a file of its own"
