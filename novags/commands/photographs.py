@@ -9,8 +9,8 @@ from novags.options import Device, Folder
 
 def import_(
     folder: Folder, *, out: Path, lit: Path | None = None, clean: Path | None = None, sensor: str | None = None,
-    time: float | None = None, black: float = 0.0, white: float = 65535.0, curve: Literal["linear", "srgb"] = "linear",
-    demosaic: Literal["menon", "malvar", "bilinear"] = "menon", max_size: int | None = None,
+    time: float | None = None, black: float = 0.0, white: float = 65535.0,
+    curve: Literal["auto", "linear", "srgb"] = "auto", demosaic: Literal["menon", "malvar", "bilinear"] = "menon", max_size: int | None = None,
     split: Literal["own", "every8"] = "own",
     dataset: Literal["auto", "none", "LOM", "LLNeRF", "LLRS", "MVTV"] = "auto",
     overwrite: bool = False, wait: bool = False,
@@ -30,7 +30,7 @@ def import_(
         time: Exposure time in seconds, which then counts for all views; from the raw files if not given.
         black: Code of no light in 16-bit pictures.
         white: Code of white in 16-bit pictures.
-        curve: Of the codes of 16-bit pictures.
+        curve: Of the codes of 16-bit pictures; auto: as the file says (PNG chunks, colour profile), else linear.
         demosaic: Interpolation of the colour filter array of raw files.
         max_size: Scale larger images down to this longest side, in pixels.
         split: Which views are held out: own, as the folder or the data set says, every 8th where it says nothing; or

@@ -129,14 +129,14 @@ class MultiviewSet:
         return self.lenses[i].undistort(rgb, self.rig.Ks[i])
 
     def radiance(self, i: int) -> Float32:
-        """Linear RGB of view `i`, float32 [h,w,3]: the rendered radiance; of a photograph the light in its 16-bit codes,
-        or the 8-bit image with sRGB undone.
+        """Linear RGB of view `i`, float32 [h,w,3]: the rendered radiance; of a photograph the light in its 16-bit
+        codes, or the 8-bit image with sRGB undone.
         """
         if self.kind == "rendered":
             return _stack(self._truth(i, "R", "G", "B"), "R", "G", "B")
         if self.is_deep(i):
             light = read_light(self.files[i])
-            return light if self.lenses is None else self.lenses[i].undistort(light, self.rig.Ks[i])
+            return light if self.lenses is None else np.float32(self.lenses[i].undistort(light, self.rig.Ks[i]))
         return srgb_to_linear(self.image(i) / np.float32(255))
 
     def variance(self, i: int) -> Float32 | None:

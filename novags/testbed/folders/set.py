@@ -253,8 +253,8 @@ def source_of(views: MultiviewSet, console: Console, max_size: int | None = None
 def say_skipped(file: Path, folder: Path, console: Console) -> None:
     """Say which steps of development a raw file of a folder asks for that are not done."""
     if is_raw(file) and (steps := skipped_steps(file)):
-        console.warn(f"raw files of {folder} ask for {', '.join(steps)} and let readers pass over it: that is not done, so "
-                     "that light and lens are those of the sensor")  # fmt: skip
+        console.warn(f"raw files of {folder} ask for {', '.join(steps)} and let readers pass over it: that is not "
+                     "done, so that light and lens are those of the sensor")  # fmt: skip
 
 
 NAMED = 20  # photographs that a line of the console names

@@ -4,7 +4,8 @@ FOLDER/dark/NAME/*   each NAME is one stack: two or more dark frames, all of one
 FOLDER/flat/NAME/*   the same in front of a uniform light
 FOLDER/frames.toml   optional: values that the files themselves do not state
 
-Frames are camera raw files, 16-bit PNG or TIFF of one channel, or .npy of [h,w] or [n,h,w]. Exposure times come from
+Frames are camera raw files, 16-bit PNG or TIFF of one channel (of any number of pages), or .npy of [h,w] or [n,h,w].
+Exposure times come from
 frames.toml, else from EXIF. Every line of frames.toml is optional, except `bits` if no raw file states it:
 
 bits = 12                    # of the ADC
@@ -22,22 +23,27 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from novags.testbed.folders.photographs.raw_files import is_raw, read_mosaic
 from novags.testbed.importing.exposures import stated_of
+from novags.testbed.importing.frame_codes import check_codes
+from novags.testbed.importing.stored import is_lossy
 from sensor_model.characterisation import Characterisation, Stack, characterise
 from sensor_model.files.camera_file import sensor_from_dict
 from sensor_model.files.door import opened
-from sensor_model.files.reading import reading
+from sensor_model.files.reading import reading, some
 from sensor_model.files.records import check_shape
 from sensor_model.files.toml_file import read_toml
 from sensor_model.mosaicking import channel_index
 from sensor_model.params import Sensor
-from simscenes.sets.pictures.image_file import read_image
+from simscenes.sets.pictures.image_file import read_frames as read_frames_of
 
 IMAGES = (".png", ".tif", ".tiff")
+# Notes and previews beside frames; files of other kinds may be frames.
+BESIDE = ("", ".txt", ".md", ".csv", ".json", ".toml", ".xml", ".yaml", ".yml", ".ini", ".log", ".xmp", ".pp3", ".jpg",
+          ".jpeg", ".db", ".pdf", ".html")  # fmt: skip
+CHANNELS = 4  # most samples of a pixel
 NOTES = {"bits?": int, "cfa?": str, "camera?": dict, "stacks?": {"*": {"time?": float, "photons?": float}}}
 
 
@@ -100,20 +106,36 @@ def read_frames(folder: Path, window: int = 1024) -> Frames:
         if not folders:
             raise ValueError(f"{folder} needs a folder {kind}/ with a folder for each stack of frames in it")
         for place in folders:
-            shown = sorted(place.glob("[!.]*"))  # without hidden files, which archives made on a Mac have
-            found = [p for p in shown if is_raw(p) or p.suffix.lower() in (*IMAGES, ".npy")]
-            files[f"{kind}/{place.name}"] = [_cut(_read(p), window) for p in found]
+            files[f"{kind}/{place.name}"] = [_cut(_read(p), window) for p in _listed(place)]
     if unknown := sorted(set(notes["stacks"]) - set(files)):
         raise ValueError(f"{folder / 'frames.toml'} names stacks that are not there: {', '.join(unknown)}")
     everything = [file for stack in files.values() for file in stack]
     stacks = {name: _stack(folder / name, stack, notes["stacks"].get(name, {})) for name, stack in files.items()}
-    return Frames(
+    frames = Frames(
         dark=[stack for name, stack in stacks.items() if name.startswith("dark/")],
         flat=[stack for name, stack in stacks.items() if name.startswith("flat/")],
         cfa=_agreed("cfa", notes["cfa"], [f.cfa for f in everything], folder, "none"),
         bits=_agreed("bits", notes["bits"], [f.bits for f in everything], folder, None),
         camera=notes["camera"],
     )
+    check_codes(stacks, frames.cfa, frames.bits, folder)
+    return frames
+
+
+def _listed(place: Path) -> list[Path]:
+    """The frames of a folder, without hidden files, which archives made on a Mac have.
+
+    Raises:
+        ValueError: If there are none, or files beside them that may be frames and are not read.
+    """
+    shown = sorted(place.glob("[!.]*"))
+    found = [p for p in shown if is_raw(p) or p.suffix.lower() in (*IMAGES, ".npy")]
+    left = [p.name for p in shown if p not in found and p.suffix.lower() not in BESIDE]
+    if not found or left:
+        there = f"files of other kinds ({some(left, 4)})" if left else "no frames"
+        raise ValueError(f"{place} must hold frames as camera raw files, {', '.join(IMAGES)} or .npy, got {there}: "
+                         "convert them to 16-bit TIFF or to one .npy of [n,h,w], or move them away")  # fmt: skip
+    return found
 
 
 def _notes(folder: Path) -> dict[str, Any]:
@@ -137,9 +159,19 @@ def _read(path: Path) -> _CalibrationFrame:
                 dn = np.load(file, allow_pickle=False)
         dn = dn[None] if dn.ndim == 2 else dn
     else:
-        dn, time = read_image(path, cv2.IMREAD_UNCHANGED)[None], stated_of(path)[0]
+        if is_lossy(path):
+            raise ValueError(f"{path} must be stored without loss, got JPEG in a TIFF: its noise is not the camera's; "
+                             "save frames uncompressed")  # fmt: skip
+        dn, time = read_frames_of(path), stated_of(path)[0]
+    if dn.ndim == 4 and all((dn[..., k] == dn[..., 0]).all() for k in range(1, dn.shape[3])):
+        dn = dn[..., 0]  # programs of monochrome cameras write three equal samples
     if dn.ndim != 3 or dn.dtype.kind not in "ui":
-        raise ValueError(f"{path} must hold integer codes of one channel, got {dn.dtype} of shape {dn.shape}")
+        colours = dn.ndim == 4 and dn.dtype.kind in "ui"
+        why = ": colours are developed already; save the mosaic as the sensor read it out" if colours else ""
+        raise ValueError(f"{path} must hold integer codes of one channel, got {dn.dtype} of shape {dn.shape}{why}")
+    if dn.shape[2] <= CHANNELS < dn.shape[1]:
+        raise ValueError(f"{path} must hold frames as [n,h,w], got the shape {dn.shape}, whose last side may be "
+                         "channels: save one channel, with frames first")  # fmt: skip
     return _CalibrationFrame(dn, time)
 
 

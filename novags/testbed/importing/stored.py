@@ -34,7 +34,9 @@ class Codes16:
                 f"the levels of 16-bit files must be 0 <= black < white <= 65535, got {self.black:g} and {self.white:g}"
             )
         if self.curve not in get_args(Curve):
-            raise ValueError(f"the curve of 16-bit files must be one of {', '.join(get_args(Curve))}, got {self.curve!r}")
+            raise ValueError(
+                f"the curve of 16-bit files must be one of {', '.join(get_args(Curve))}, got {self.curve!r}"
+            )
 
     def of(self, file: Path) -> "Codes16":
         """The same with the curve of a file, where `curve` leaves it to the file.

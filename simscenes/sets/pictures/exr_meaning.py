@@ -17,8 +17,8 @@ from sensor_model.files.reading import brief, some
 SRGB = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)  # x, y of red, green, blue and white
 ALIKE = 0.005  # of these: programs round them
 # Names that mean linear light in the colours of sRGB, by the attributes of OpenEXR 3.4, OpenImageIO and Nuke.
-LINEAR = {"lin_rec709_scene", "lin_rec709", "lin_srgb", "lin_srgb_scene", "linear", "scene_linear", "linear srgb", "data",
-          "linear rec.709", "linear rec.709 (srgb)", "linear bt.709", "raw", "unknown", "none", ""}  # fmt: skip
+LINEAR = {"lin_rec709_scene", "lin_rec709", "lin_srgb", "lin_srgb_scene", "linear", "scene_linear", "linear srgb",
+          "data", "linear rec.709", "linear rec.709 (srgb)", "linear bt.709", "raw", "unknown", "none", ""}  # fmt: skip
 SPEAK = ("colorspace", "colourspace", "colorinteropid", "gamma", "transfer", "primaries", "lookmodtransform",
          "renderingtransform")  # fmt: skip
 DEEP = ("deepscanline", "deeptile")
@@ -56,8 +56,8 @@ def refuse_pixels(channels: dict[str, Any], path: Path) -> None:
         raise ValueError(f"{path} must hold light as half or float numbers, got integers in {bad[0]}: write R, G and B "
                          "again")  # fmt: skip
     if len({part.shape for part in light}) > 1:
-        raise ValueError(f"{path} must hold R, G and B at every pixel, got {[part.shape for part in light]}: write them "
-                         "without subsampling")  # fmt: skip
+        raise ValueError(f"{path} must hold R, G and B at every pixel, got {[part.shape for part in light]}: write "
+                         "them without subsampling")  # fmt: skip
 
 
 def refuse_clear(channels: dict[str, Any], path: Path) -> None:
@@ -85,8 +85,8 @@ def _kind(header: dict[str, Any]) -> str:
     if "envmap" in header:
         return "is a panorama (envmap), not the picture of a camera: render views"
     if header.get("multiView"):
-        return f"holds several views ({some([str(v) for v in header['multiView']], 4)}), of which only one is read: save "\
-               "each as a file of its own"  # fmt: skip
+        views = some([str(v) for v in header["multiView"]], 4)
+        return f"holds several views ({views}), of which only one is read: save each as a file of its own"
     return ""
 
 
@@ -94,13 +94,13 @@ def _colours(header: dict[str, Any]) -> str:
     stated = header.get("chromaticities")
     found = None if stated is None else np.ravel(np.asarray(stated, np.float64))
     if found is not None and (found.shape != (8,) or np.abs(found - SRGB).max() > ALIKE):
-        return (f"states colours of other primaries than sRGB's (chromaticities {found.round(4).tolist()}), which are not "
-                "read: convert it to linear sRGB (Rec. 709)")  # fmt: skip
+        return (f"states colours of other primaries than sRGB's (chromaticities {found.round(4).tolist()}), which are "
+                "not read: convert it to linear sRGB (Rec. 709)")  # fmt: skip
     if header.get("acesImageContainerFlag") == 1:
         return "states the colours of ACES (acesImageContainerFlag), which are not read: convert it to linear sRGB"
     for name, value in header.items():
         bare = name.lower().replace("_", "").replace(" ", "").replace(".", "").replace(":", "").replace("/", "")
         if any(word in bare for word in SPEAK) and str(value).strip().lower() not in LINEAR:
-            return (f"states {name} = {str(value)[:60]!r}, which may mean another curve or other colours than linear sRGB "
-                    "and is not read: convert it to linear sRGB (Rec. 709)")  # fmt: skip
+            return (f"states {name} = {str(value)[:60]!r}, which may mean another curve or other colours than linear "
+                    "sRGB and is not read: convert it to linear sRGB (Rec. 709)")  # fmt: skip
     return ""

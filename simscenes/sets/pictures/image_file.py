@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sensor_model.files.door import PICTURE, opened
+from sensor_model.files.door import PICTURE, opened, read_bytes
 from sensor_model.files.reading import brief
 from sensor_model.isp import srgb_to_linear, to_srgb8
 from simscenes.sets.pictures.meaning import Curve, curve_of, is_deep, unfit
@@ -24,6 +24,7 @@ from simscenes.sets.pictures.tiff import (
     EXTRA_SAMPLES,
     ORIENTATION,
     PREMULTIPLIED,
+    like_pages,
     misread,
     retagged,
     tiff_tags,
@@ -59,8 +60,12 @@ def image_size(file: Path) -> tuple[int, int]:
 
 
 @contextmanager
-def header(file: Path) -> Iterator[Any]:
+def header(file: Path, *, pages: bool = False) -> Iterator[Any]:
     """An image file as PIL opens it, of any declared size, with sides and pixels as stored.
+
+    Args:
+        file: The file.
+        pages: Whether a TIFF file may have several pages, which the caller reads.
 
     Raises:
         ValueError: If it is not an image.
@@ -72,7 +77,7 @@ def header(file: Path) -> Iterator[Any]:
     except OSError as error:
         raise ValueError(f"{file} is not a readable image ({error.strerror or error}); replace or remove it") from error
     with stored:
-        if problem := unread(file):
+        if problem := unread(file, pages=pages):
             raise ValueError(f"{file} {problem}")
         with _PIL, warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of odd metadata; whether the pixels can be read shows when they are
@@ -114,6 +119,30 @@ def read_image(file: Path, flags: int) -> NDArray[Any]:
     if pixels is None:
         raise ValueError(f"{file} is not a readable image (it cannot be decoded); replace or remove it")
     return np.asarray(pixels)
+
+
+def read_frames(file: Path) -> NDArray[Any]:
+    """All pages of a TIFF file as stored, or the one picture of another file: [n,h,w] or [n,h,w,c].
+
+    Raises:
+        ValueError: As `read_image`, or if pages differ in size, depth or kind, or are too many.
+    """
+    if (count := like_pages(file)) < 2:
+        return read_image(file, cv2.IMREAD_UNCHANGED)[None]
+    with header(file, pages=True) as image:
+        width, height = image.size
+        problem = unfit(file, image, pages=count) or misread(file, deep=True)
+    if problem:
+        raise ValueError(f"{file} {problem}")
+    if width * height * count > MAX_PIXELS:
+        raise ValueError(f"{file} declares {count} pages of {width} x {height} pixels, at most {MAX_PIXELS} in all can "
+                         "be read: save fewer in a file")  # fmt: skip
+    with _quiet_opencv():
+        flags = cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION
+        _, pages = cv2.imdecodemulti(np.frombuffer(read_bytes(file), np.uint8), flags)
+    if len(pages) != count or len({page.shape for page in pages}) != 1:
+        raise ValueError(f"{file} has {count} pages, of which {len(pages)} can be decoded; replace or remove it")
+    return np.stack(pages)
 
 
 @contextmanager
@@ -184,7 +213,9 @@ def read_light(file: Path) -> NDArray[np.float32]:
     else:
         pixels = read_image(file, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
         if pixels.dtype != np.uint16:
-            raise ValueError(f"{file} must hold 8- or 16-bit codes, got {pixels.dtype}: convert it to 16-bit PNG or TIFF")
+            raise ValueError(
+                f"{file} must hold 8- or 16-bit codes, got {pixels.dtype}: convert it to 16-bit PNG or TIFF"
+            )
         refuse_mosaic(pixels, file)
         shares = np.ascontiguousarray(pixels[..., ::-1]).astype(np.float32) / np.float32(65535)
     return np.asarray(srgb_to_linear(shares), np.float32) if stated_curve(file) == "srgb" else shares

@@ -17,18 +17,19 @@ from simscenes.sets.pictures.tiff_meaning import unfit_tiff
 Curve = Literal["linear", "srgb"]
 
 
-def unfit(file: Path, image: Any) -> str:
+def unfit(file: Path, image: Any, *, pages: int = 1) -> str:
     """Why the pixels of a picture are not what a photograph holds, and what to do; "" if they are.
 
     Args:
         file: The picture.
         image: The same, as PIL opens it.
+        pages: How many pages of a TIFF file are read.
 
     Raises:
         OSError: If it cannot be read.
     """
     chunks = chunks_of_png(file)
-    if problem := unfit_png(chunks) or unfit_tiff(file, image) or _several(image):
+    if problem := unfit_png(chunks) or unfit_tiff(file, image, pages) or _several(image):
         return problem
     if image.mode == "CMYK":
         return "is a picture in CMYK, the inks of a printer, which is not read: save it as RGB"
@@ -37,8 +38,8 @@ def unfit(file: Path, image: Any) -> str:
         return (f"states another curve between codes and light than sRGB ({who}), which is not read: save it as sRGB, "
                 "or with linear codes in 16 bits")  # fmt: skip
     if kind == "linear" and not is_deep(file):
-        return (f"states linear codes ({who}) and has 8 bits, which are taken as sRGB-encoded: save it as sRGB, or with "
-                "linear codes in 16 bits")  # fmt: skip
+        return (f"states linear codes ({who}) and has 8 bits, which are taken as sRGB-encoded: save it as sRGB, or "
+                "with linear codes in 16 bits")  # fmt: skip
     return ""
 
 
@@ -76,7 +77,9 @@ def _stated(image: Any, chunks: dict[bytes, bytes]) -> tuple[str, str]:
         return found
     profile = image.info.get("icc_profile")
     middle = middle_of(profile) if isinstance(profile, bytes) else None
-    return ("", "") if middle is None else (kind_of(middle), f"colour profile, half of the codes is {middle:.3f} of light")
+    return (
+        ("", "") if middle is None else (kind_of(middle), f"a colour profile: the middle code is {middle:.3f} of light")
+    )
 
 
 def _several(image: Any) -> str:

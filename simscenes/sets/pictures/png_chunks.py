@@ -13,11 +13,12 @@ from sensor_model.files.door import PICTURE, opened
 
 START = b"\x89PNG\r\n\x1a\n"
 UNDERSTOOD = {b"IHDR", b"PLTE", b"IDAT", b"IEND", b"tRNS", b"gAMA", b"sRGB", b"iCCP", b"cICP", b"acTL"}
-# Of printing, texts, dates, previews and thumbnails, and of how bright a screen shows them: no code means another light.
+# Of printing, texts, dates, previews and thumbnails, and of how bright a screen shows them: the light is the same.
 HARMLESS = {b"bKGD", b"cHRM", b"cLLI", b"cLLi", b"dSIG", b"eXIf", b"fcTL", b"fdAT", b"gIFg", b"gIFt", b"gIFx", b"hIST",
             b"iDOT", b"iTXt", b"mDCV", b"mDCv", b"oFFs", b"pHYs", b"sBIT", b"sCAL", b"sPLT", b"tEXt", b"tIME",
             b"zTXt"}  # fmt: skip
-WHAT = {b"CgBI": "Apple's own form for telephones, of colours multiplied by alpha", b"sTER": "two pictures side by side",
+WHAT = {b"CgBI": "Apple's own form for telephones, of colours multiplied by alpha", b"sTER": "two pictures side by "
+                                                                                             "side",
         b"pCAL": "codes that stand for other quantities"}  # fmt: skip
 MOST_CHUNKS, MOST_BYTES = 1000, 64  # before the pixels; of a chunk that is looked at
 # Transfer curves by their number in ITU-T H.273: what is shown like sRGB, and what is proportional to light.
@@ -47,7 +48,9 @@ def unfit_png(chunks: dict[bytes, bytes]) -> str:
     """Why the pixels mean something else than they seem to, and what to do; "" if they do not."""
     frames = int.from_bytes(chunks.get(b"acTL", b"")[:4], "big")
     if frames > 1:
-        return f"is an animated PNG of {frames} pictures, of which only the first is read: save each as a file of its own"
+        return (
+            f"is an animated PNG of {frames} pictures, of which only the first is read: save each as a file of its own"
+        )
     for name in chunks.keys() - UNDERSTOOD - HARMLESS:
         if name[0] & 0x20 and name[1] & 0x20 and name not in WHAT:
             continue
@@ -73,6 +76,8 @@ def curve_of_png(chunks: dict[bytes, bytes]) -> tuple[str, str] | None:
         return "srgb", "sRGB"
     if len(stated := chunks.get(b"gAMA", b"")) >= 4:
         gamma = int.from_bytes(stated[:4], "big") / 100_000
-        inside = [kind for kind, (low, high) in (("srgb", SRGB_GAMMA), ("linear", LINEAR_GAMMA)) if low <= gamma <= high]
+        inside = [
+            kind for kind, (low, high) in (("srgb", SRGB_GAMMA), ("linear", LINEAR_GAMMA)) if low <= gamma <= high
+        ]
         return "".join(inside), f"gAMA {gamma:g}"
     return None

@@ -37,7 +37,7 @@ ORDERS = {b"II": "<", b"MM": ">"}
 LAYOUTS = {42: (4, "I", "H"), 43: (8, "Q", "Q")}
 INTEGERS = {1: "B", 3: "H", 4: "I", 16: "Q"}  # types of values, by their number in the file
 # Of a file, of a directory and of an entry; a damaged file may state any number.
-MOST_DIRECTORIES, MOST_ENTRIES, MOST_VALUES = 16, 2**16, 16
+MOST_DIRECTORIES, MOST_ENTRIES, MOST_VALUES, MOST_PAGES = 16, 2**16, 16, 4096
 
 
 @dataclass(frozen=True)
@@ -60,13 +60,17 @@ def tiff_tags(file: Path) -> dict[int, Tag]:
     return {}
 
 
-def unread(file: Path) -> str:
+def unread(file: Path, *, pages: bool = False) -> str:
     """Why the pixels of a TIFF file are of a kind that no photograph is read from, and what to do; "" if they are not.
+
+    Args:
+        file: Any file.
+        pages: Whether all its pages are read.
 
     Raises:
         OSError: If it cannot be read.
     """
-    if problem := _pages(file):
+    if not pages and (problem := _pages(file)):
         return problem
     tags = tiff_tags(file)
     bits, extra, kinds = (tags[tag].values if tag in tags else () for tag in (BITS, EXTRA_SAMPLES, SAMPLE_FORMAT))
@@ -133,6 +137,19 @@ def retagged(file: Path, values: Mapping[int, int]) -> bytes | None:
     return bytes(content)
 
 
+def like_pages(file: Path) -> int:
+    """The number of pages of a TIFF file; 0 where they differ in size, depth or kind, and of other files.
+
+    Raises:
+        OSError: If it cannot be read.
+    """
+    kinds: list[dict[int, tuple[int, ...]]] = []
+    with opened(file, most=PICTURE) as source, suppress(struct.error):
+        for tags in _directories(source, MOST_PAGES):
+            kinds.append({tag: entry.values for tag, entry in tags.items() if tag != KIND})
+    return len(kinds) if kinds and all(kind == kinds[0] for kind in kinds) else 0
+
+
 def _pages(file: Path) -> str:
     """Whether other pictures than smaller copies follow the first one, or it is such a copy itself; "" if not."""
     sizes: list[int] = []
@@ -148,7 +165,7 @@ def _pages(file: Path) -> str:
     return ""
 
 
-def _directories(source: BinaryIO) -> Iterator[dict[int, Tag]]:
+def _directories(source: BinaryIO, most: int = MOST_DIRECTORIES) -> Iterator[dict[int, Tag]]:
     """The tags of each picture of a file, one directory after the other, as far as they lie in the file."""
     start = source.read(16)
     order = ORDERS.get(start[:2])
@@ -158,7 +175,7 @@ def _directories(source: BinaryIO) -> Iterator[dict[int, Tag]]:
     wide, size = struct.calcsize(long), os.fstat(source.fileno()).st_size
     (at,) = struct.unpack_from(order + long, start, place)
     seen: set[int] = set()
-    while 0 < at < size and at not in seen and len(seen) < MOST_DIRECTORIES:
+    while 0 < at < size and at not in seen and len(seen) < most:
         seen.add(at)
         source.seek(at)
         (count,) = struct.unpack(order + short, source.read(struct.calcsize(short)))

@@ -1,4 +1,4 @@
-"""TIFF files: tags that change what codes mean. A list of what is read, a list of what is harmless; the rest is refused.
+"""TIFF files: tags that change what codes mean, by a list of what is read and a list of what is harmless.
 
 Private tags (32768 and above) belong to one program each. Those that are known to change codes are refused; what is
 left are places on the earth, editors' layers and notes.
@@ -14,10 +14,10 @@ from typing import Any
 from simscenes.sets.pictures.tiff import BITS, PHOTOMETRIC, SAMPLE_FORMAT, tiff_tags
 
 # TIFF 6.0: what decoders read, then names, dates, resolutions and places on the page.
-READ = {254, 256, 257, 258, 259, 262, 266, 273, 274, 277, 278, 279, 284, 292, 293, 317, 320, 322, 323, 324, 325, 330, 338,
-        339, 347, 512, 513, 514, 515, 517, 518, 519, 520, 521, 529, 530, 531, 532}  # fmt: skip
-HARMLESS = {255, 263, 264, 265, 269, 270, 271, 272, 280, 281, 282, 283, 285, 286, 287, 288, 289, 296, 297, 305, 306, 315,
-            316, 318, 319, 321, 326, 327, 328, 333, 337, 340, 341, 343, 344, 345, 346, 351, 700}  # fmt: skip
+READ = {254, 256, 257, 258, 259, 262, 266, 273, 274, 277, 278, 279, 284, 292, 293, 317, 320, 322, 323, 324, 325, 330,
+        338, 339, 347, 512, 513, 514, 515, 517, 518, 519, 520, 521, 529, 530, 531, 532}  # fmt: skip
+HARMLESS = {255, 263, 264, 265, 269, 270, 271, 272, 280, 281, 282, 283, 285, 286, 287, 288, 289, 296, 297, 305, 306,
+            315, 316, 318, 319, 321, 326, 327, 328, 333, 337, 340, 341, 343, 344, 345, 346, 351, 700}  # fmt: skip
 REFUSED = {
     290: "GrayResponseUnit, a curve of gray", 291: "GrayResponseCurve, a curve of gray",
     301: "TransferFunction, a curve between codes and light", 332: "InkSet, inks of a printer",
@@ -25,7 +25,8 @@ REFUSED = {
     32996: "DataType, another kind of numbers", 32997: "ImageDepth, several pictures in one",
     33421: "CFARepeatPatternDim, a camera's colour filters", 33422: "CFAPattern, a camera's colour filters",
     37439: "StoNits, a unit of light", 50712: "LinearizationTable, a curve between codes and light",
-    50714: "BlackLevel, a code of black", 50717: "WhiteLevel, a code of white", 51008: "OpcodeList1, steps of development",
+    50714: "BlackLevel, a code of black", 50717: "WhiteLevel, a code of white",
+    51008: "OpcodeList1, steps of development",
     51009: "OpcodeList2, steps of development", 51022: "OpcodeList3, steps of development",
 }  # fmt: skip
 PRIVATE = 32768
@@ -36,16 +37,17 @@ NAMES = {4: "a mask", 5: "the inks of a printer", 8: "CIE Lab", 9: "ICC Lab", 10
 UNSIGNED, SIGNED, UNDEFINED = 1, 2, 4
 DEPTHS = {1, 2, 4, 8, 16, 32, 64}
 DESCRIPTION = 270
-DIGITS = 10
+DIGITS, SAMPLES = 10, 4  # of a number; of a pixel
 DNG = "if it is a camera's raw file, name it .dng"
 
 
-def unfit_tiff(file: Path, image: Any) -> str:
+def unfit_tiff(file: Path, image: Any, pages: int) -> str:
     """Why the codes of a TIFF file mean something else than they seem to, and what to do; "" if they do not.
 
     Args:
         file: Any file.
         image: The same, as PIL opens it.
+        pages: How many are read.
 
     Raises:
         OSError: If it cannot be read.
@@ -56,35 +58,36 @@ def unfit_tiff(file: Path, image: Any) -> str:
     kind, bits, form = (tags[tag].values if tag in tags else () for tag in (PHOTOMETRIC, BITS, SAMPLE_FORMAT))
     if kind and kind[0] not in PHOTOMETRICS:
         what = NAMES.get(kind[0], "a kind that is not known")
-        return (f"is a TIFF of {what} (PhotometricInterpretation {kind[0]}), which is not read: save it as RGB or gray, "
-                f"or, {DNG}")  # fmt: skip
+        return (f"is a TIFF of {what} (PhotometricInterpretation {kind[0]}), which is not read: save it as RGB or "
+                f"gray, or, {DNG}")  # fmt: skip
     if len(set(bits)) > 1 or not set(bits) <= DEPTHS:
-        return (f"is a TIFF of {', '.join(map(str, bits))} bits a sample, which is not read: save it with 8 or 16 bits")
+        return f"is a TIFF of {', '.join(map(str, bits))} bits a sample, which is not read: save it with 8 or 16 bits"
     if bad := [value for value in form if value not in (UNSIGNED, UNDEFINED)]:
         what = "numbers with a sign" if bad[0] == SIGNED else "numbers of another kind"
-        return (f"is a TIFF of {what} (SampleFormat {bad[0]}), which is not read: save it as 16-bit TIFF or PNG of codes "
-                "from 0 on")  # fmt: skip
+        return (f"is a TIFF of {what} (SampleFormat {bad[0]}), which is not read: save it as 16-bit TIFF or PNG of "
+                "codes from 0 on")  # fmt: skip
     for tag in sorted(set(image.tag_v2) - READ - HARMLESS):
         if tag in REFUSED or tag < PRIVATE:
             what = REFUSED.get(tag, "which is not known")
             return f"has the TIFF tag {tag} ({what}), which is not read: save it as a plain TIFF or PNG, or, {DNG}"
-    return _stack(str(image.tag_v2.get(DESCRIPTION, "")), image.size)
+    count = _stacked(str(image.tag_v2.get(DESCRIPTION, "")), image.size)
+    return "" if count <= pages else (f"is a stack of {count} pictures, of which only {pages} can be read: save each "
+                                      "as a file of its own")  # fmt: skip
 
 
-def _stack(description: str, size: tuple[int, int]) -> str:
-    """Whether a description says that more pictures lie behind the first one, without directories of their own.
+def _stacked(description: str, size: tuple[int, int]) -> int:
+    """How many pictures a file holds by its description: some may lie behind the first one without directories.
 
     ImageJ writes large stacks so, and tifffile where it is asked for one directory.
     """
-    count = 1
     if description.startswith("ImageJ="):
         stated = [line[7:].strip() for line in description.splitlines() if line.startswith("images=")]
-        count = int(stated[0]) if stated and stated[0].isdecimal() and len(stated[0]) < DIGITS else 1
-    elif description.startswith('{"shape":') and len(description) < DIGITS**3:
+        return int(stated[0]) if stated and stated[0].isdecimal() and len(stated[0]) < DIGITS else 1
+    if description.startswith('{"shape":') and len(description) < DIGITS**3:
         try:
             shape = json.loads(description)["shape"]
-            count = math.prod(int(side) for side in shape) // (size[0] * size[1] * (shape[-1] if shape[-1] <= 4 else 1))
+            samples = shape[-1] if shape[-1] <= SAMPLES else 1
+            return math.prod(int(side) for side in shape) // (size[0] * size[1] * samples)
         except (ValueError, TypeError, KeyError, IndexError, ZeroDivisionError):
-            return ""
-    return "" if count < 2 else (f"is a stack of {count} pictures, of which only the first is read: save each as a file "
-                                 "of its own")  # fmt: skip
+            pass
+    return 1

@@ -1,4 +1,4 @@
-"""What a DNG file says of its raw codes, by a list of what is understood; all else that changes light is refused by name.
+"""What a DNG file says of its raw codes. All that changes light and is not understood is refused by name.
 
 LibRaw reads the pixels. It applies the linearization table, and passes over most other tags without a word: steps of
 development (opcodes), black levels by place, several raw pictures in one file.
@@ -60,7 +60,9 @@ def read_dng(path: Path) -> DngFacts | None:
     every = directories(path)
     if not any(VERSION in tags.values for tags in every):
         return None
-    raws = [t for t in every if t.first(PHOTOMETRIC, 0) in (MOSAIC, LINEAR_RAW) and t.first(KIND, 0) in (MAIN, ENHANCED)]
+    raws = [
+        t for t in every if t.first(PHOTOMETRIC, 0) in (MOSAIC, LINEAR_RAW) and t.first(KIND, 0) in (MAIN, ENHANCED)
+    ]
     if not raws:
         return DngFacts()
     for problem in (_several(raws), _stored(raws[0]), _meaning(raws[0])):
@@ -71,8 +73,9 @@ def read_dng(path: Path) -> DngFacts | None:
     area = [int(v) for v in tags.numbers(ACTIVE)]
     inside = len(area) == 4 and 0 <= area[0] < area[2] <= height and 0 <= area[1] < area[3] <= width
     if area and not inside:
-        raise ValueError(f"{path} must have its active area inside of {width} x {height} px, got rows {area[0:3:2]} and "
-                         f"columns {area[1:4:2]}: it is damaged, or written by a program that is; convert it again")  # fmt: skip
+        raise ValueError(f"{path} must have its active area inside of {width} x {height} px, got rows {area[0:3:2]} "
+                         f"and columns {area[1:4:2]}: it is damaged, or written by a program that is; convert it "
+                         "again")  # fmt: skip
     active = (area[0], area[1], area[2], area[3]) if inside else None
     shape = (active[2] - active[0], active[3] - active[1]) if active else (height, width)
     return DngFacts(active, _black(tags, shape, path), _steps(tags, path))
@@ -81,7 +84,9 @@ def read_dng(path: Path) -> DngFacts | None:
 def _several(raws: list[Tags]) -> str:
     if len(raws) < 2:
         return ""
-    kinds = " and ".join("one that a program enhanced" if t.first(KIND, 0) == ENHANCED else "a camera's" for t in raws[:4])
+    kinds = " and ".join(
+        "one that a program enhanced" if t.first(KIND, 0) == ENHANCED else "a camera's" for t in raws[:4]
+    )
     return (f"holds {len(raws)} raw pictures ({kinds}), of which only one is read: save each as a file of its own, "
             "without enhancements")  # fmt: skip
 
@@ -92,10 +97,11 @@ def _stored(tags: Tags) -> str:
     if packed not in READ:
         name = COMPRESSIONS.get(packed, "a kind that is not known")
         return (f"is compressed by {name} (Compression {packed}), which LibRaw does not read: convert it to an "
-                "uncompressed DNG, or to one with lossless JPEG (compatibility with DNG 1.4 in Adobe's converter)")  # fmt: skip
+                "uncompressed DNG, or to one with lossless JPEG (compatibility with DNG 1.4 in Adobe's "
+                "converter)")  # fmt: skip
     if any(form not in (1, 4) for form in tags.numbers(FORM)):
-        return (f"holds numbers that are not codes (SampleFormat {tags.first(FORM, 1)}), which is not read: convert it to "
-                "a DNG of 16-bit codes")  # fmt: skip
+        return (f"holds numbers that are not codes (SampleFormat {tags.first(FORM, 1)}), which is not read: convert it "
+                "to a DNG of 16-bit codes")  # fmt: skip
     for tag, name in INTERLEAVED.items():
         if tags.first(tag, 1) > 1:
             return (f"stores its rows or columns in another order ({name} {tags.first(tag, 1)}), which LibRaw does not "
@@ -108,15 +114,15 @@ def _meaning(tags: Tags) -> str:
     if tags.first(PHOTOMETRIC, 0) == MOSAIC:
         dim = tags.numbers(CFA_DIM)
         if dim and dim != [2, 2]:
-            return (f"has a colour filter array of {dim[0]:g} x {dim[-1]:g} (CFARepeatPatternDim), which is not read, only "
-                    "Bayer patterns of 2 x 2 are: it may be of a Quad Bayer or X-Trans sensor; demosaic it to LinearRaw "
-                    "or 16-bit RGB first")  # fmt: skip
+            return (f"has a colour filter array of {dim[0]:g} x {dim[-1]:g} (CFARepeatPatternDim), which is not read, "
+                    "only Bayer patterns of 2 x 2 are: it may be of a Quad Bayer or X-Trans sensor; demosaic it to "
+                    "LinearRaw or 16-bit RGB first")  # fmt: skip
         if tags.first(CFA_LAYOUT, 1) != 1:
-            return (f"has filters that are not on a rectangular grid (CFALayout {tags.first(CFA_LAYOUT, 1)}), which are "
-                    "not read: demosaic it first")  # fmt: skip
+            return (f"has filters that are not on a rectangular grid (CFALayout {tags.first(CFA_LAYOUT, 1)}), which "
+                    "are not read: demosaic it first")  # fmt: skip
     if len(scale := tags.numbers(SCALE)) == 2 and abs(scale[0] - scale[1]) > 1e-3 * max(scale):
-        return (f"has pixels that are not square (DefaultScale {scale[0]:g}, {scale[1]:g}), which are not read: convert "
-                "it to square ones")  # fmt: skip
+        return (f"has pixels that are not square (DefaultScale {scale[0]:g}, {scale[1]:g}), which are not read: "
+                "convert it to square ones")  # fmt: skip
     if len(set(levels := tags.numbers(WHITE))) > 1:
         return (f"states a white level for each channel ({', '.join(f'{v:g}' for v in levels[:4])}), of which LibRaw "
                 "keeps one: convert it to one level")  # fmt: skip
@@ -137,9 +143,9 @@ def _steps(tags: Tags, path: Path) -> tuple[str, ...]:
                 continue
             step = STEPS.get(number, f"step {number}, which is not known")
             if not optional:
-                raise ValueError(f"{path} asks for {step} ({name}), which is not done, and says that readers must not pass "
-                                 "over it: convert it with that step done, to LinearRaw or 16-bit RGB, or take raw files "
-                                 "without it")  # fmt: skip
+                raise ValueError(f"{path} asks for {step} ({name}), which is not done, and says that readers must not "
+                                 "pass over it: convert it with that step done, to LinearRaw or 16-bit RGB, or take "
+                                 "raw files without it")  # fmt: skip
             skipped.append(f"{step} ({name})")
     return tuple(dict.fromkeys(skipped))
 
@@ -160,20 +166,22 @@ def _opcodes(stored: np.ndarray | None) -> list[tuple[int, bool]]:
 
 
 def _black(tags: Tags, shape: tuple[int, int], path: Path) -> np.ndarray | None:
-    """Levels by place, [rows, columns, samples]: as many rows and columns as repeat, all of them with levels of rows."""
+    """Levels by place, [rows, columns, samples]: as many as repeat, or all, where rows or columns have their own."""
     levels, across, down = (tags.numbers(tag) for tag in (BLACK, DELTA_H, DELTA_V))
     if not levels and not across and not down:
         return None
     samples = tags.first(SAMPLES, 1)
     rows, columns = (*[int(v) for v in tags.numbers(BLACK_DIM)], 1, 1)[:2] if tags.numbers(BLACK_DIM) else (1, 1)
-    if len(levels or [0]) not in (1, rows * columns * samples) or not (0 < rows <= shape[0] and 0 < columns <= shape[1]):
-        raise ValueError(f"{path} must state {rows} x {columns} x {samples} black levels, got {len(levels)}: convert it "
-                         "again")  # fmt: skip
+    if len(levels or [0]) not in (1, rows * columns * samples) or not (
+        0 < rows <= shape[0] and 0 < columns <= shape[1]
+    ):
+        raise ValueError(f"{path} must state {rows} x {columns} x {samples} black levels, got {len(levels)}: convert "
+                         "it again")  # fmt: skip
     found = np.resize(np.array(levels or [0.0]), (rows, columns, samples))
     for what, deltas, side in (("column", across, shape[1]), ("row", down, shape[0])):
         if deltas and len(deltas) != side:
-            raise ValueError(f"{path} must state a black level for each {what} of {side}, got {len(deltas)}: convert it "
-                             "again")  # fmt: skip
+            raise ValueError(f"{path} must state a black level for each {what} of {side}, got {len(deltas)}: convert "
+                             "it again")  # fmt: skip
     if not (np.ptp(across or [0]) > EVEN or np.ptp(down or [0]) > EVEN):
         return found + np.mean(across or [0]) + np.mean(down or [0])
     whole = np.tile(found, (-(-shape[0] // rows), -(-shape[1] // columns), 1))[: shape[0], : shape[1]]

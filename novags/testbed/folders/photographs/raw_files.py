@@ -114,9 +114,9 @@ def _black(raw: Any, path: Path, shape: tuple[int, ...]) -> tuple[tuple[float, .
         means = np.resize(facts.black.mean((0, 1)), 3)
         return tuple(float(v) for v in means), None
     whole = np.tile(facts.black[..., 0], (-(-shape[0] // rows), -(-shape[1] // columns)))[: shape[0], : shape[1]]
-    places = [whole[y::2, x::2] for y in (0, 1) for x in (0, 1)]
-    uneven = any(np.ptp(place) > EVEN for place in places)
-    return tuple(float(place.mean()) for place in places), whole if uneven else None
+    cell = [whole[y::2, x::2] for y in (0, 1) for x in (0, 1)]
+    uneven = any(np.ptp(place) > EVEN for place in cell)
+    return tuple(float(place.mean()) for place in cell), whole if uneven else None
 
 
 def skipped_steps(path: Path) -> tuple[str, ...]:
@@ -243,8 +243,13 @@ def _developed(path: Path) -> np.ndarray | None:
     levels = np.resize(stated.black, (2, 2)) if stated.levels is None else stated.levels
     h, w = stated.shape
     whole = np.tile(levels, (-(-h // levels.shape[0]), -(-w // levels.shape[1])))[:h, :w]
-    light = (read_digital_numbers(path) - whole) / (stated.white - whole) / np.take(
-        stated.response, np.resize(["RGB".index(c) for c in stated.cfa], (2, 2))[np.ix_(np.arange(h) % 2, np.arange(w) % 2)]
+    light = (
+        (read_digital_numbers(path) - whole)
+        / (stated.white - whole)
+        / np.take(
+            stated.response,
+            np.resize(["RGB".index(c) for c in stated.cfa], (2, 2))[np.ix_(np.arange(h) % 2, np.arange(w) % 2)],
+        )
     )
     linear = interpolate(light, stated.cfa, "menon")
     if stated.color_matrix is not None:
@@ -313,17 +318,17 @@ def _check_codes(codes: np.ndarray, raw: Any, path: Path) -> None:
     white, black = float(raw.white_level), float(min(raw.black_level_per_channel))
     over = float((codes > OVER * white).mean())
     if over > SOME:
-        raise ValueError(f"{path} states the white level {white:g}, and {over:.0%} of its codes are above {OVER:g} times "
-                         f"that, up to {codes.max()}: they are probably shifted to the top of 16 bits, or the level is of "
-                         "another camera; convert it again with the level that its codes have")  # fmt: skip
+        raise ValueError(f"{path} states the white level {white:g}, and {over:.0%} of its codes are above {OVER:g} "
+                         f"times that, up to {codes.max()}: they are probably shifted to the top of 16 bits, or the "
+                         "level is of another camera; convert it again with the level that its codes have")  # fmt: skip
     middle = float(np.median(codes))
     if middle < black - BELOW * (white - black):
-        raise ValueError(f"{path} states the black level {black:g}, and half of its codes are at most {middle:g}: black is "
-                         "probably subtracted already, or stated in other units than the codes; convert it again with "
-                         "the level that its codes have")  # fmt: skip
+        raise ValueError(f"{path} states the black level {black:g}, and half of its codes are at most {middle:g}: "
+                         "black is probably subtracted already, or stated in other units than the codes; convert it "
+                         "again with the level that its codes have")  # fmt: skip
     if codes.ndim == 2 and raw.num_colors > 1 and is_mosaic(*(codes[y::2, x::2] for y in (0, 1) for x in (0, 1))):
-        raise ValueError(f"{path} states a colour filter array of 2 x 2, and pixels behind the same filter differ with a "
-                         "period of 4 pixels over the whole picture: it is probably of a Quad Bayer sensor, whose "
+        raise ValueError(f"{path} states a colour filter array of 2 x 2, and pixels behind the same filter differ with "
+                         "a period of 4 pixels over the whole picture: it is probably of a Quad Bayer sensor, whose "
                          "filters are 4 x 4; let the camera write binned raw files, or demosaic it to LinearRaw or "
                          "16-bit RGB first")  # fmt: skip
 
