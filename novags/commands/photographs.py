@@ -10,8 +10,8 @@ from novags.options import Device, Folder
 def import_(
     folder: Folder, *, out: Path, lit: Path | None = None, clean: Path | None = None, sensor: str | None = None,
     time: float | None = None, black: float = 0.0, white: float = 65535.0,
-    curve: Literal["auto", "linear", "srgb"] = "auto", demosaic: Literal["menon", "malvar", "bilinear"] = "menon", max_size: int | None = None,
-    split: Literal["own", "every8"] = "own",
+    curve: Literal["auto", "linear", "srgb"] = "auto", demosaic: Literal["menon", "malvar", "bilinear"] = "menon",
+    max_size: int | None = None, split: Literal["own", "every8"] = "own",
     dataset: Literal["auto", "none", "LOM", "LLNeRF", "LLRS", "MVTV"] = "auto",
     overwrite: bool = False, wait: bool = False,
     dry_run: bool = False,

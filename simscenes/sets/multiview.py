@@ -135,8 +135,10 @@ class MultiviewSet:
         if self.kind == "rendered":
             return _stack(self._truth(i, "R", "G", "B"), "R", "G", "B")
         if self.is_deep(i):
-            light = read_light(self.files[i])
-            return light if self.lenses is None else np.float32(self.lenses[i].undistort(light, self.rig.Ks[i]))
+            light: NDArray[Any] = read_light(self.files[i])
+            return np.asarray(
+                light if self.lenses is None else self.lenses[i].undistort(light, self.rig.Ks[i]), np.float32
+            )
         return srgb_to_linear(self.image(i) / np.float32(255))
 
     def variance(self, i: int) -> Float32 | None:

@@ -25,7 +25,8 @@ from simscenes.rigs import Rig
 from simscenes.sets.geometry.plausible import with_tested_tracks
 from simscenes.sets.geometry.tracks import SparsePoints
 from simscenes.sets.multiview import READERS, MultiviewSet, is_rendered, load_set
-from simscenes.sets.pictures.image_file import WITH_ALPHA, has_alpha, stated_curve
+from simscenes.sets.pictures.image_file import WITH_ALPHA, has_alpha, header, stated_curve
+from simscenes.sets.pictures.meaning import other_primaries
 from simscenes.sets.readers.llff import POSES
 from simscenes.sets.readers.nerf_synthetic import PARTS
 
@@ -195,7 +196,8 @@ class Source:
         if self.views.is_deep(i):
             curve = stated_curve(file) or "linear"
             self.console.warn(f"pictures of {self.views.path} have 16 bits: their codes are taken as {WORDS[curve]}")
-        say_skipped(file, self.views.path, self.console)
+        if self.views.kind == "photographs":
+            say_stated(file, self.views.path, self.console)
         if self.views.kind == "photographs" and file.suffix.lower() in WITH_ALPHA and has_alpha(file):
             self.console.warn(f"pictures of {self.views.path} have an alpha channel: the background of their pixels "
                               "counts as white")  # fmt: skip
@@ -250,8 +252,13 @@ def source_of(views: MultiviewSet, console: Console, max_size: int | None = None
     return Source(views=views, rig=rig, console=console)
 
 
-def say_skipped(file: Path, folder: Path, console: Console) -> None:
-    """Say which steps of development a raw file of a folder asks for that are not done."""
+def say_stated(file: Path, folder: Path, console: Console) -> None:
+    """Say which statements of a photograph are passed over: colours of other primaries, steps of development."""
+    if not is_raw(file) and file.suffix.lower() != ".exr":
+        with header(file) as image:
+            if other_primaries(image):
+                console.warn(f"pictures of {folder} state colours of other primaries than those of sRGB (Display P3, "
+                             "say): they are taken as sRGB's, which changes saturated colours a little")  # fmt: skip
     if is_raw(file) and (steps := skipped_steps(file)):
         console.warn(f"raw files of {folder} ask for {', '.join(steps)} and let readers pass over it: that is not "
                      "done, so that light and lens are those of the sensor")  # fmt: skip

@@ -59,7 +59,7 @@ def check_codes(stacks: Mapping[str, Stack], cfa: str, bits: int, folder: Path) 
 
 def _refuse_mosaic(stacks: Mapping[str, Stack], folder: Path) -> None:
     for name, stack in stacks.items():
-        if name.startswith("flat/") and is_mosaic(stack.frames[:MOST].mean(0)):
+        if name.startswith("flat/") and is_mosaic(stack.frames[:MOST].mean(0), flat=True):
             raise ValueError(f"frames of {folder / name} count as monochrome, and have a pattern of 2 x 2 over the "
                              "whole picture: they are probably behind a camera's colour filters; give cfa = \"RGGB\" "
                              "(or GRBG, GBRG, BGGR) in frames.toml")  # fmt: skip

@@ -11,7 +11,7 @@ from novags.testbed.console.terminal import Console
 from novags.testbed.folders import capture as capture_folder
 from novags.testbed.folders.capture import has_view
 from novags.testbed.folders.imported import write_clean
-from novags.testbed.folders.set import say_skipped
+from novags.testbed.folders.set import say_stated
 from novags.testbed.importing.clean import Match, match_clean, tone_gain
 from novags.testbed.importing.dark import Dark, open_dark
 from novags.testbed.importing.darkroom import Darkroom
@@ -176,8 +176,8 @@ def _say_no_codes(codes: Codes16, console: Console) -> None:
 
 def _say(dark: Dark, darkroom: Darkroom, config: ImportConfig, match: Match | None, console: Console) -> None:
     """Assumptions about the photographs, and losses in the import."""
-    for file in dark.raws[:1]:
-        say_skipped(file, dark.source.views.path, console)
+    for file in dict.fromkeys((*dark.files[:1], *dark.raws[:1])):
+        say_stated(file, dark.source.views.path, console)
     if dark.depth == "16bit":
         curve = config.codes.of(dark.files[0]).curve
         says = ", as the files say" if config.curve == "auto" and curve != "linear" else ""

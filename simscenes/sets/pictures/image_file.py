@@ -30,6 +30,7 @@ from simscenes.sets.pictures.tiff import (
     tiff_tags,
     unread,
 )
+from simscenes.sets.pictures.tiff_meaning import unfit_kind
 from simscenes.sets.pictures.whole import whole_content
 
 # 23,170 x 23,170: above any camera's (phones have 200 million), and 1.6 GB as 8-bit RGB. A larger declared size is
@@ -77,7 +78,7 @@ def header(file: Path, *, pages: bool = False) -> Iterator[Any]:
     except OSError as error:
         raise ValueError(f"{file} is not a readable image ({error.strerror or error}); replace or remove it") from error
     with stored:
-        if problem := unread(file, pages=pages):
+        if problem := unread(file, pages=pages) or unfit_kind(file):
             raise ValueError(f"{file} {problem}")
         with _PIL, warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of odd metadata; whether the pixels can be read shows when they are

@@ -1,4 +1,4 @@
-"""What a picture file says of its codes, beside the codes: their curve, their colours, how many pictures it holds.
+"""Statements of a picture file about its codes: their curve, their colours, the number of pictures.
 
 8-bit codes are taken as sRGB-encoded and 16-bit ones as linear. A file that says otherwise is decoded as it says where
 that can be done, and refused by name where it cannot. Colours of other primaries than sRGB's are said once.
@@ -14,11 +14,13 @@ from simscenes.sets.pictures.profile import has_other_primaries, kind_of, middle
 from simscenes.sets.pictures.tiff import BITS, tiff_tags
 from simscenes.sets.pictures.tiff_meaning import unfit_tiff
 
+SRGB = (0.3127, 0.3290, 0.64, 0.33, 0.30, 0.60, 0.15, 0.06)  # x, y of white, red, green and blue, as cHRM has them
+ALIKE = 0.005  # of these
 Curve = Literal["linear", "srgb"]
 
 
 def unfit(file: Path, image: Any, *, pages: int = 1) -> str:
-    """Why the pixels of a picture are not what a photograph holds, and what to do; "" if they are.
+    """Why a picture is not a photograph for all its suffix, and what to do; "" if it is.
 
     Args:
         file: The picture.
@@ -29,7 +31,7 @@ def unfit(file: Path, image: Any, *, pages: int = 1) -> str:
         OSError: If it cannot be read.
     """
     chunks = chunks_of_png(file)
-    if problem := unfit_png(chunks) or unfit_tiff(file, image, pages) or _several(image):
+    if problem := unfit_png(chunks) or unfit_tiff(image, pages) or _several(image):
         return problem
     if image.mode == "CMYK":
         return "is a picture in CMYK, the inks of a printer, which is not read: save it as RGB"
@@ -67,8 +69,12 @@ def is_deep(file: Path) -> bool:
 
 def other_primaries(image: Any) -> bool:
     """Whether the picture's colours are stated to be of other primaries than sRGB's, as telephones' P3."""
-    profile = image.info.get("icc_profile")
-    return isinstance(profile, bytes) and has_other_primaries(profile)
+    profile, stated = image.info.get("icc_profile"), image.info.get("chromaticity")
+    if isinstance(profile, bytes):
+        return has_other_primaries(profile)
+    return (
+        stated is not None and len(stated) == 8 and any(abs(a - b) > ALIKE for a, b in zip(stated, SRGB, strict=True))
+    )
 
 
 def _stated(image: Any, chunks: dict[bytes, bytes]) -> tuple[str, str]:

@@ -14,15 +14,24 @@ from numpy.typing import NDArray
 
 SIDE = 16  # px of a block: the next periods are 2.3 and 2.7 px
 WINDOW = 1024  # px in the middle of a picture that are looked at
-ABOVE = 12.0  # times the power of the neighbours; white noise has 1, and ten blocks scatter by less than half of it
-SHARE = 0.02  # of the mean light, and more: odd and even columns of a camera differ by less, filters by .1 to .5
+# Times the power of the neighbours, and more by this over the root of the number of blocks. White noise has 1, the
+# photographs of a fox at most 1.4, and few blocks scatter.
+ABOVE, FEW = 3.0, 25.0
+SHARE = 0.02  # of the light, and more: odd and even columns of a camera differ by less, filters by .1 to .5
+DARKEST = 1.0  # % of the pixels: what they have counts as black
+PAIRS = 0.25  # of the steps between pixels: a mosaic has as large ones in pairs as between them
 BLOCKS = 8  # fewer of them decide nothing
 
 
-def is_mosaic(*grays: NDArray[np.generic]) -> bool:
-    """Whether all of some pixels [h,w] have a pattern of two pixels across, down or both, as behind a filter array."""
+def is_mosaic(*grays: NDArray[np.generic], flat: bool = False) -> bool:
+    """Whether all of some pixels [h,w] have a pattern of two pixels across, down or both, as behind a filter array.
+
+    Args:
+        grays: The pixels.
+        flat: Whether they show a uniform light, so that none of them is black.
+    """
     blocks = np.concatenate([_blocks(gray) for gray in grays])
-    if len(blocks) < BLOCKS:
+    if len(blocks) < BLOCKS or _is_doubled(blocks):
         return False
     light = blocks.mean((1, 2))
     # A slow change of light over a block has some of every period, unless its ends are faded out.
@@ -31,9 +40,21 @@ def is_mosaic(*grays: NDArray[np.generic]) -> bool:
     half, near = SIDE // 2, (SIDE // 2 - 3, SIDE // 2 - 2)
     own = strength[:, half, half] + strength[:, half, 0] + strength[:, 0, half]
     beside = strength[:, near, :][:, :, near].mean((1, 2)) + strength[:, near, 0].mean(1) + strength[:, 0, near].mean(1)
-    sure = float(np.median(own)) > ABOVE * float(np.median(beside)) and own.sum() > ABOVE * beside.sum()
+    times = ABOVE + FEW / np.sqrt(len(blocks))
+    sure = float(np.median(own)) > times * float(np.median(beside)) and own.sum() > times * beside.sum()
     amplitude = np.sqrt(own) / fade.sum() ** 2
-    return bool(sure and np.median(amplitude) > SHARE * max(float(light.mean()), 1e-9))
+    black = 0.0 if flat else float(np.percentile(blocks, DARKEST))
+    return bool(sure and np.median(amplitude) > SHARE * max(float(light.mean()) - black, 1e-9))
+
+
+def _is_doubled(blocks: NDArray[np.float64]) -> bool:
+    """Whether pixels come in equal pairs: a picture that was enlarged twice has a period of two pixels as well."""
+    for axis in (1, 2):
+        steps = np.abs(np.diff(blocks, axis=axis)).mean(tuple({0, 1, 2} - {axis}))
+        inside, between = steps[::2].mean(), steps[1::2].mean()
+        if min(inside, between) < PAIRS * max(inside, between):
+            return True
+    return False
 
 
 def _blocks(gray: NDArray[np.generic]) -> NDArray[np.float64]:

@@ -1,4 +1,4 @@
-"""PNG files: what their chunks say of the codes, by a list of what is understood and a list of what is harmless.
+"""PNG files: statements of their chunks about the codes. There are lists of known chunks and of harmless ones.
 
 Source: PNG specification, third edition, sections 5.4 (names of chunks) and 11.3. The first letter of a name is small
 where a decoder may skip the chunk, the second one where the chunk is one program's own.
@@ -21,7 +21,7 @@ WHAT = {b"CgBI": "Apple's own form for telephones, of colours multiplied by alph
                                                                                              "side",
         b"pCAL": "codes that stand for other quantities"}  # fmt: skip
 MOST_CHUNKS, MOST_BYTES = 1000, 64  # before the pixels; of a chunk that is looked at
-# Transfer curves by their number in ITU-T H.273: what is shown like sRGB, and what is proportional to light.
+# Transfer curves by their number in ITU-T H.273: those shown like sRGB, and the one that is proportional to light.
 SHOWN, PROPORTIONAL = {1, 2, 4, 6, 13, 14, 15}, {8}
 TRANSFERS = {5: "an exponent of 2.8", 16: "PQ", 18: "HLG"}
 SRGB_GAMMA, LINEAR_GAMMA = (0.42, 0.52), (0.98, 1.02)  # of gAMA: 1/2.2, 1/1.961 of video; 1

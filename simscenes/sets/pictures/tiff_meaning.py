@@ -1,13 +1,13 @@
-"""TIFF files: tags that change what codes mean, by a list of what is read and a list of what is harmless.
+"""TIFF files: tags that change the meaning of codes. There are lists of tags that are read and of harmless ones.
 
-Private tags (32768 and above) belong to one program each. Those that are known to change codes are refused; what is
-left are places on the earth, editors' layers and notes.
+Private tags (32768 and above) belong to one program each. Those that are known to change codes are refused. The others
+are places on the earth, editors' layers and notes.
 """
 
 from __future__ import annotations
 
-import json
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -36,24 +36,18 @@ NAMES = {4: "a mask", 5: "the inks of a printer", 8: "CIE Lab", 9: "ICC Lab", 10
          52527: "masks"}  # fmt: skip
 UNSIGNED, SIGNED, UNDEFINED = 1, 2, 4
 DEPTHS = {1, 2, 4, 8, 16, 32, 64}
-DESCRIPTION = 270
-DIGITS, SAMPLES = 10, 4  # of a number; of a pixel
+DESCRIPTION, SAMPLES = 270, 277
+DIGITS = 10  # of a number
+SHAPE = re.compile(r'\{"shape": ?\[([0-9]+(?:, ?[0-9]+)*)\]')
 DNG = "if it is a camera's raw file, name it .dng"
 
 
-def unfit_tiff(file: Path, image: Any, pages: int) -> str:
-    """Why the codes of a TIFF file mean something else than they seem to, and what to do; "" if they do not.
-
-    Args:
-        file: Any file.
-        image: The same, as PIL opens it.
-        pages: How many are read.
+def unfit_kind(file: Path) -> str:
+    """Why the pixels of a TIFF file are not codes of light, and what to do; "" if they are.
 
     Raises:
         OSError: If it cannot be read.
     """
-    if image.format != "TIFF":
-        return ""
     tags = tiff_tags(file)
     kind, bits, form = (tags[tag].values if tag in tags else () for tag in (PHOTOMETRIC, BITS, SAMPLE_FORMAT))
     if kind and kind[0] not in PHOTOMETRICS:
@@ -66,16 +60,30 @@ def unfit_tiff(file: Path, image: Any, pages: int) -> str:
         what = "numbers with a sign" if bad[0] == SIGNED else "numbers of another kind"
         return (f"is a TIFF of {what} (SampleFormat {bad[0]}), which is not read: save it as 16-bit TIFF or PNG of "
                 "codes from 0 on")  # fmt: skip
+    return ""
+
+
+def unfit_tiff(image: Any, pages: int) -> str:
+    """Why the codes of a TIFF file mean something else than they seem to, and what to do; "" if they do not.
+
+    Args:
+        image: The file, as PIL opens it.
+        pages: How many are read.
+    """
+    if image.format != "TIFF":
+        return ""
     for tag in sorted(set(image.tag_v2) - READ - HARMLESS):
         if tag in REFUSED or tag < PRIVATE:
             what = REFUSED.get(tag, "which is not known")
             return f"has the TIFF tag {tag} ({what}), which is not read: save it as a plain TIFF or PNG, or, {DNG}"
-    count = _stacked(str(image.tag_v2.get(DESCRIPTION, "")), image.size)
+    samples = image.tag_v2.get(SAMPLES, 1)
+    each = image.size[0] * image.size[1] * (samples if isinstance(samples, int) else 1)
+    count = _stacked(str(image.tag_v2.get(DESCRIPTION, "")), each)
     return "" if count <= pages else (f"is a stack of {count} pictures, of which only {pages} can be read: save each "
                                       "as a file of its own")  # fmt: skip
 
 
-def _stacked(description: str, size: tuple[int, int]) -> int:
+def _stacked(description: str, each: int) -> int:
     """How many pictures a file holds by its description: some may lie behind the first one without directories.
 
     ImageJ writes large stacks so, and tifffile where it is asked for one directory.
@@ -83,11 +91,6 @@ def _stacked(description: str, size: tuple[int, int]) -> int:
     if description.startswith("ImageJ="):
         stated = [line[7:].strip() for line in description.splitlines() if line.startswith("images=")]
         return int(stated[0]) if stated and stated[0].isdecimal() and len(stated[0]) < DIGITS else 1
-    if description.startswith('{"shape":') and len(description) < DIGITS**3:
-        try:
-            shape = json.loads(description)["shape"]
-            samples = shape[-1] if shape[-1] <= SAMPLES else 1
-            return math.prod(int(side) for side in shape) // (size[0] * size[1] * samples)
-        except (ValueError, TypeError, KeyError, IndexError, ZeroDivisionError):
-            pass
+    if shape := SHAPE.match(description[:1000]):
+        return math.prod(int(side[:DIGITS]) for side in shape[1].split(",")) // max(each, 1)
     return 1

@@ -326,11 +326,22 @@ def _check_codes(codes: np.ndarray, raw: Any, path: Path) -> None:
         raise ValueError(f"{path} states the black level {black:g}, and half of its codes are at most {middle:g}: "
                          "black is probably subtracted already, or stated in other units than the codes; convert it "
                          "again with the level that its codes have")  # fmt: skip
-    if codes.ndim == 2 and raw.num_colors > 1 and is_mosaic(*(codes[y::2, x::2] for y in (0, 1) for x in (0, 1))):
+    if codes.ndim == 2 and raw.num_colors > 1 and _is_quad(raw, path):
         raise ValueError(f"{path} states a colour filter array of 2 x 2, and pixels behind the same filter differ with "
                          "a period of 4 pixels over the whole picture: it is probably of a Quad Bayer sensor, whose "
                          "filters are 4 x 4; let the camera write binned raw files, or demosaic it to LinearRaw or "
                          "16-bit RGB first")  # fmt: skip
+
+
+def _is_quad(raw: Any, path: Path) -> bool:
+    """Whether pixels behind filters of the same colour have a pattern of their own, beside their black levels."""
+    codes = _part(raw.raw_image, raw, path).astype(np.float64)
+    facts = read_dng(path)
+    if facts is not None and facts.black is not None:
+        rows, columns, _ = facts.black.shape
+        whole = np.tile(facts.black[..., 0], (-(-codes.shape[0] // rows), -(-codes.shape[1] // columns)))
+        codes -= whole[: codes.shape[0], : codes.shape[1]]
+    return is_mosaic(*(codes[y::2, x::2] for y in (0, 1) for x in (0, 1)))
 
 
 @contextmanager

@@ -143,3 +143,106 @@ def test_folders_that_are_laid_out_otherwise_are_refused(tmp_path: Path) -> None
     np.save(tmp_path / "flat" / "0" / "zz.npy", np.zeros((16, 16), np.float32))
     with pytest.raises(ValueError, match="integer codes of one channel"):
         read_frames(tmp_path)
+
+
+LIGHT = np.random.default_rng(0).poisson(1200, (6, 40, 48)) + 64
+
+
+def write_stacks(folder: Path, save, change=lambda dn: dn, bits: int = 12) -> None:
+    """A dark and a flat stack; `save` gets the folder of a stack and its codes [n,h,w]."""
+    for name, codes in (("dark/0", LIGHT // 20), ("flat/0", LIGHT)):
+        (folder / name).mkdir(parents=True)
+        save(folder / name, change(codes).astype(np.uint16))
+    lines = [f"bits = {bits}", *(f'[stacks."{name}"]\ntime = 1.0' for name in ("dark/0", "flat/0"))]
+    (folder / "frames.toml").write_text("\n".join(lines))
+
+
+def one_npy(place: Path, codes: np.ndarray) -> None:
+    np.save(place / "a.npy", codes)
+
+
+@pytest.mark.parametrize(
+    ("change", "bits", "message"),
+    [
+        (
+            lambda dn: dn << 4,
+            12,
+            r"flat/0 must be at most 4095 by the 12 bits .* multiples of 16: .* top by 4 bits; "
+            "divide",
+        ),  # fmt: skip
+        (
+            lambda dn: dn << 4,
+            16,
+            r"whole numbers without gaps by the 16 bits .* multiples of 16: .* bits that are "
+            "left",
+        ),  # fmt: skip
+        (lambda dn: dn << 2, 14, r"multiples of 4: they are probably shifted to the top by 2 bits; divide them by 4"),
+        (lambda dn: dn << 6, 16, r"at most 65535 .*|multiples of 64"),
+        (
+            lambda dn: np.round(dn * (65535 / 4095)),
+            16,
+            r"none are closer together than 16: .* stretched from fewer "
+            "bits",
+        ),  # fmt: skip
+        (lambda dn: dn * 5, 12, r"must be at most 4095 by the 12 bits"),
+        (lambda dn: dn, 10, r"must be at most 1023 by the 10 bits .* probably those of another mode"),
+        (
+            lambda dn: dn * (1 + np.add.outer(np.arange(40), np.arange(48)) % 2),
+            12,
+            r'behind .* colour filters; give cfa = "',
+        ),
+    ],
+)
+def test_codes_that_do_not_fit_their_bits_are_refused_with_the_likely_cause(
+    change, bits: int, message: str, tmp_path: Path
+) -> None:
+    write_stacks(tmp_path, one_npy, change, bits)
+    with pytest.raises(ValueError, match=message):
+        read_frames(tmp_path)
+
+
+def pages(place: Path, codes: np.ndarray) -> None:
+    tifffile = pytest.importorskip("tifffile")
+    tifffile.imwrite(place / "a.tif", codes, photometric="minisblack")
+
+
+def imagej(place: Path, codes: np.ndarray) -> None:
+    tifffile = pytest.importorskip("tifffile")
+    for half in (0, 1):
+        tifffile.imwrite(place / f"{half}.tif", codes[half * 3 : half * 3 + 3], imagej=True)
+
+
+def three_samples(place: Path, codes: np.ndarray) -> None:
+    for i, frame in enumerate(codes):
+        cv2.imwrite(str(place / f"{i}.png"), np.dstack([frame] * 3))
+
+
+@pytest.mark.parametrize("save", [pages, imagej, three_samples, one_npy])
+def test_all_frames_of_a_file_are_read(save, tmp_path: Path) -> None:
+    """Rationale: only the first page of each file was read. Programs of gray cameras write three equal samples."""
+    write_stacks(tmp_path, save)
+    np.testing.assert_array_equal(read_frames(tmp_path).flat[0].frames, LIGHT)
+
+
+@pytest.mark.parametrize(
+    ("save", "message"),
+    [
+        (
+            lambda place, dn: np.savez(place / "a.npz", dn),
+            r"got files of other kinds \(a.npz\): convert them to 16-bit "
+            "TIFF",
+        ),  # fmt: skip
+        (lambda place, dn: (place / "a.fits").write_bytes(b"SIMPLE"), r"other kinds \(a.fits\)"),
+        (lambda place, dn: (place / "notes.txt").write_text("none"), "got no frames"),
+        (lambda place, dn: (one_npy(place, dn), (place / "b.raw").touch()), r"other kinds \(b.raw\)"),
+        (lambda place, dn: np.save(place / "a.npy", dn[..., None].repeat(3, -1)[0] + np.arange(3)), "may be channels"),
+        (
+            lambda place, dn: np.save(place / "a.npy", dn.astype(np.float32)),
+            "integer codes of one channel, got float32",
+        ),  # fmt: skip
+    ],
+)
+def test_files_that_hold_no_frames_are_named(save, message: str, tmp_path: Path) -> None:
+    write_stacks(tmp_path, save)
+    with pytest.raises(ValueError, match=message):
+        read_frames(tmp_path)

@@ -1,0 +1,120 @@
+"""Claims about DNG files of strangers: the light is right, or the file is refused by the name of what is not done."""
+
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from novags.testbed.folders.photographs.raw_files import (
+    read_digital_numbers,
+    read_format,
+    read_mosaic,
+    read_radiance,
+    size,
+    skipped_steps,
+)
+from novags.testbed.importing.raw_camera import raw_camera
+from tests.dngs import mosaic_of, write_dng
+
+H, W = 48, 64
+COLOUR = np.array([0.3, 0.1, 0.05])
+LIGHT = np.broadcast_to(COLOUR, (H, W, 3))
+
+
+def developed(file: Path) -> list[np.ndarray]:
+    """The mean colour of the middle, by the two ways that raw files are developed."""
+    camera = raw_camera(file, None, "menon")
+    return [light[8:-8, 8:-8].mean((0, 1)) for light in (camera.develop(camera.codes(file)), read_radiance(file))]
+
+
+def test_each_place_has_its_own_black_level(tmp_path: Path) -> None:
+    """Rationale: LibRaw keeps the least level of a pattern of 4 x 4: dark colours came out a tenth too light."""
+    levels = 500.0 + 8 * np.arange(16).reshape(4, 4)
+    file = write_dng(tmp_path / "a.dng", mosaic_of(LIGHT, np.tile(levels, (12, 16))), {50713: ("H", [4, 4])},
+                     black=levels.ravel().tolist())  # fmt: skip
+    for found in developed(file):
+        np.testing.assert_allclose(found, COLOUR, rtol=0.01)
+
+
+def test_black_levels_that_rise_from_row_to_row_are_followed(tmp_path: Path) -> None:
+    rise = np.linspace(0, 300, H)
+    file = write_dng(
+        tmp_path / "a.dng", mosaic_of(LIGHT, 200 + rise[:, None]), {50716: ("S", rise.tolist())}, black=[200]
+    )
+    camera = raw_camera(file, None, "menon")
+    light = camera.develop(camera.codes(file))
+    for part in (light[4:12], light[-12:-4]):
+        np.testing.assert_allclose(part[:, 8:-8].mean((0, 1)), COLOUR, rtol=0.025)
+
+
+@pytest.mark.parametrize("margins", [(17, 43), (18, 41), (1, 2), (4, 6)])
+def test_the_active_area_is_whole_whatever_its_margins(margins: tuple[int, int], tmp_path: Path) -> None:
+    """Rationale: LibRaw drops a row or a column where a margin is odd, and cameras then were off by half a pixel."""
+    top, left = margins
+    levels = np.tile([[500.0, 520.0], [540.0, 560.0]], (H // 2, W // 2))
+    codes = mosaic_of(LIGHT, levels)
+    frame = np.full((H + top + 5, W + left + 7), 510.0)
+    frame[top : top + H, left : left + W] = codes
+    extra: Any = {50829: ("I", [top, left, top + H, left + W]), 50713: ("H", [2, 2])}
+    file = write_dng(tmp_path / "a.dng", frame, extra, black=[500, 520, 540, 560])
+    assert size(file) == (W, H)
+    np.testing.assert_array_equal(read_digital_numbers(file), codes)
+    np.testing.assert_array_equal(read_mosaic(file).dn, codes)
+    stated = read_format(file)
+    assert (stated.shape, stated.cfa, stated.black) == ((H, W), "RGGB", (500, 520, 540, 560))
+    for found in developed(file):
+        np.testing.assert_allclose(found, COLOUR, rtol=0.01)
+
+
+def steps(number: int, flags: int) -> tuple[str, list[float]]:
+    return "B", list(struct.pack(">5I", 1, number, 0x01030000, flags, 4) + bytes(4))
+
+
+REFUSED = [
+    ({51009: steps(9, 0)}, r"asks for GainMap, which undoes vignetting \(OpcodeList2\), .* must not pass over it"),
+    ({51022: steps(1, 0)}, r"asks for WarpRectilinear, which undoes distortion \(OpcodeList3\)"),
+    ({51008: steps(99, 0)}, r"asks for step 99, which is not known \(OpcodeList1\)"),
+    ({259: ("H", [52546])}, r"is compressed by JPEG XL \(Compression 52546\), which LibRaw does not read: convert"),
+    ({33421: ("H", [4, 4]), 33422: ("B", [0, 0, 1, 1] * 2 + [1, 1, 2, 2] * 2)}, "a colour filter array of 4 x 4"),
+    ({50711: ("H", [2])}, r"filters that are not on a rectangular grid \(CFALayout 2\)"),
+    ({50718: ("R", [1.0, 2.0])}, r"pixels that are not square \(DefaultScale 1, 2\)"),
+    ({50975: ("H", [2])}, r"in another order \(RowInterleaveFactor 2\)"),
+    ({50829: ("I", [0, 0, H + 1, W])}, "must have its active area inside of 64 x 48 px"),
+    ({339: ("H", [3])}, r"numbers that are not codes \(SampleFormat 3\)"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("extra", "message"), REFUSED)
+def test_what_is_not_done_is_refused_by_name(extra: Any, message: str, tmp_path: Path) -> None:
+    file = write_dng(tmp_path / "a.dng", mosaic_of(LIGHT, 512.0), extra, black=[512])
+    for read in (read_format, read_radiance, read_digital_numbers, read_mosaic):
+        with pytest.raises(ValueError, match=rf"a\.dng .*{message}"):
+            read(file)
+
+
+def test_steps_that_readers_may_pass_over_are_said(tmp_path: Path) -> None:
+    file = write_dng(tmp_path / "a.dng", mosaic_of(LIGHT, 512.0), {51009: steps(9, 1), 51008: steps(5, 0)}, black=[512])
+    assert skipped_steps(file) == ("GainMap, which undoes vignetting (OpcodeList2)",)
+    np.testing.assert_allclose(developed(file)[0], COLOUR, rtol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("codes", "black", "white", "message"),
+    [
+        (mosaic_of(LIGHT, 512.0, block=2), 512, 16383, "probably of a Quad Bayer sensor, whose filters are 4 x 4"),
+        (
+            mosaic_of(LIGHT, 64.0, 1023) * 16,
+            64,
+            1023,
+            "above 1.5 times that, .* probably shifted to the top of 16 bits",
+        ),  # fmt: skip
+        (mosaic_of(LIGHT, 64.0, 1023), 4096, 16383, "half of its codes are at most .*: black is probably subtracted"),
+    ],
+)
+def test_codes_that_do_not_fit_their_file_are_refused(
+    codes: np.ndarray, black: int, white: int, message: str, tmp_path: Path
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        read_format(write_dng(tmp_path / "a.dng", codes, black=[black], white=white))
