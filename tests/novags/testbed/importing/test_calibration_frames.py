@@ -187,7 +187,7 @@ def one_npy(place: Path, codes: np.ndarray) -> None:
         (lambda dn: dn * 5, 12, r"must be at most 4095 by the 12 bits"),
         (lambda dn: dn, 10, r"must be at most 1023 by the 10 bits .* probably those of another mode"),
         (
-            lambda dn: dn * (1 + np.add.outer(np.arange(40), np.arange(48)) % 2),
+            lambda dn: dn * (1 + np.indices((48, 64)).sum(0) % 2),
             12,
             r'behind .* colour filters; give cfa = "',
         ),
