@@ -16,6 +16,7 @@ from novags.testbed.folders.photographs.linear import load_linear_set
 from novags.testbed.folders.set import open_source, scaled_rig
 from novags.testbed.stages.capturing import QUANTILES, measure_light
 from novags.testbed.stages.configs.capturing import CaptureConfig
+from novags.testbed.stages.configs.importing import ImportConfig
 from sensor_model import PRESETS, Exposure, expose, mosaic, photons_for_electrons, srgb_to_linear, write_dng
 from simscenes import orbit_rig
 from simscenes.sets.multiview import write_cameras
@@ -84,6 +85,27 @@ def test_a_capture_of_any_images_is_whole(suffix: str, tmp_path: Path) -> None:
     small = open_capture(tmp_path / "small")
     assert small.clean(0).shape == (15, 20, 3)
     assert small.source(QUIET).lit(0).shape == (15, 20, 3)
+
+
+@pytest.mark.parametrize("form", ["a.png", "a.tif", "k1.png"])
+def test_16_bit_photographs_are_light_in_captures_as_in_imports(form: str, tmp_path: Path) -> None:
+    """Rationale: they were cut to 8 bits and decoded from sRGB: a fifth of the light became a thirteenth."""
+    suffix, bend = Path(form).suffix, {"k1": 1e-9} if form == "k1.png" else {}
+    folder, stream = photographs(tmp_path / "set", suffix, **bend), io.StringIO()
+    for i in range(3):
+        codes = np.round(20000 * smooth(i, (40, 30))).astype(np.uint16)
+        cv2.imwrite(str(folder / "images" / f"{i:04d}{suffix}"), codes[..., ::-1])
+    console = Console(stream=stream)
+    for i, source in enumerate([open_source(folder, console)] * 3):
+        np.testing.assert_allclose(source.radiance(i), 20000 / 65535 * smooth(i, (40, 30)), atol=2e-5)
+        shown = srgb_to_linear(source.lit(i).astype(np.float64))
+        np.testing.assert_allclose(shown, np.minimum(20000 / 65535 * smooth(i, (40, 30)), 1), atol=5e-3)
+    assert stream.getvalue().count("have 16 bits: their codes are taken as linear light") == 1
+    stages.capture(folder, tmp_path / "cap", CaptureConfig(sensor="ideal", electrons=50.0), QUIET)
+    assert json.loads((tmp_path / "cap" / "capture.json").read_text())["set"]["codes16"] == "linear"
+    stages.import_photographs(folder, tmp_path / "imported", ImportConfig(), QUIET)
+    light = open_capture(tmp_path / "imported").linear16(1)
+    np.testing.assert_allclose(light, 20000 / 65535 * smooth(1, (40, 30)), atol=1e-4)
 
 
 def test_distortion_of_linear_files_is_undone(tmp_path: Path) -> None:

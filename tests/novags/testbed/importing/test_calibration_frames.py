@@ -145,7 +145,7 @@ def test_folders_that_are_laid_out_otherwise_are_refused(tmp_path: Path) -> None
         read_frames(tmp_path)
 
 
-LIGHT = np.random.default_rng(0).poisson(1200, (6, 40, 48)) + 64
+LIGHT = np.random.default_rng(0).poisson(1200, (6, 48, 64)) + 64
 
 
 def write_stacks(folder: Path, save, change=lambda dn: dn, bits: int = 12) -> None:
