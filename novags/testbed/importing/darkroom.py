@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from novags.testbed.folders.photographs.linear import middle, within_margins
-from novags.testbed.folders.photographs.raw_files import is_raw, read_radiance, size
+from novags.testbed.folders.photographs.linear import part_of, within_margins
+from novags.testbed.folders.photographs.raw_files import is_raw, place_of, read_radiance, size
 from novags.testbed.importing.raw_camera import RawCamera
 from novags.testbed.importing.stored import Codes16, Depth, read_stored, refuse_transparent
 from sensor_model.isp import to_srgb8
@@ -97,7 +97,7 @@ class Darkroom:
         assert self.camera is not None
         whole = self.camera.codes(file)
         part = self._cut(whole, file)
-        top, left = ((a - b) // 2 for a, b in zip(whole.shape[:2], part.shape[:2], strict=True))
+        top, left = place_of(file, whole.shape[:2], *part.shape[:2])
         return np.ascontiguousarray(part), self.camera.cut_sensor(top, left)
 
     def _decoded(self, stored: np.ndarray, file: Path, i: int) -> np.ndarray:
@@ -131,7 +131,7 @@ class Darkroom:
         if (width, height) == (rig.width, rig.height):
             return image
         if is_raw(file) and within_margins((width, height), (rig.width, rig.height)):
-            return middle(image, rig.height, rig.width)
+            return part_of(image, file, rig.height, rig.width)
         raise ValueError(
             f"{file} must be {rig.width} x {rig.height} px like the pictures that {self.views.path} has cameras of, "
             f"got {width} x {height}"

@@ -35,7 +35,7 @@ NAMES = {4: "a mask", 5: "the inks of a printer", 8: "CIE Lab", 9: "ICC Lab", 10
          32844: "logarithms of light", 32845: "logarithms of light", 34892: "a camera's raw colours", 51177: "depth",
          52527: "masks"}  # fmt: skip
 UNSIGNED, SIGNED, UNDEFINED = 1, 2, 4
-DEPTHS = {1, 2, 4, 8, 16, 32, 64}
+DEPTHS = {1, 2, 4, 8, 16}
 DESCRIPTION, SAMPLES = 270, 277
 DIGITS = 10  # of a number
 SHAPE = re.compile(r'\{"shape": ?\[([0-9]+(?:, ?[0-9]+)*)\]')

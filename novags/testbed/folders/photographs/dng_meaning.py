@@ -16,7 +16,7 @@ from novags.testbed.folders.photographs.dng_tags import Tags, directories
 
 KIND, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC, SAMPLES, FORM = 254, 256, 257, 258, 259, 262, 277, 339
 VERSION, CFA_DIM, CFA_LAYOUT, BLACK_DIM, BLACK, DELTA_H, DELTA_V = 50706, 33421, 50711, 50713, 50714, 50715, 50716
-WHITE, SCALE, ACTIVE = 50717, 50718, 50829
+WHITE, SCALE, CROP_ORIGIN, CROP_SIZE, ACTIVE = 50717, 50718, 50719, 50720, 50829
 OPCODES = {51008: "OpcodeList1", 51009: "OpcodeList2", 51022: "OpcodeList3"}
 INTERLEAVED = {50975: "RowInterleaveFactor", 52547: "ColumnInterleaveFactor"}
 MOSAIC, LINEAR_RAW = 32803, 34892
@@ -42,11 +42,13 @@ class DngFacts:
     Attributes:
         active: Top, left, bottom and right of the pixels that see light; None: the whole frame.
         black: Levels of that area, [rows, columns, samples], of as many rows and columns as repeat; None: not stated.
+        crop: Top and left in that area, height and width, of the picture that converters make; None: not stated.
         skipped: Steps of development that the file asks for, that may be passed over, and that are.
     """
 
     active: tuple[int, int, int, int] | None = None
     black: np.ndarray | None = None
+    crop: tuple[int, int, int, int] | None = None
     skipped: tuple[str, ...] = ()
 
 
@@ -78,7 +80,14 @@ def read_dng(path: Path) -> DngFacts | None:
                          "again")  # fmt: skip
     active = (area[0], area[1], area[2], area[3]) if inside else None
     shape = (active[2] - active[0], active[3] - active[1]) if active else (height, width)
-    return DngFacts(active, _black(tags, shape, path), _steps(tags, path))
+    return DngFacts(active, _black(tags, shape, path), _crop(tags), _steps(tags, path))
+
+
+def _crop(tags: Tags) -> tuple[int, int, int, int] | None:
+    origin, size = tags.numbers(CROP_ORIGIN), tags.numbers(CROP_SIZE)
+    if len(origin) != 2 or len(size) != 2 or not all(0 <= v < 2**31 and v.is_integer() for v in (*origin, *size)):
+        return None
+    return int(origin[1]), int(origin[0]), int(size[1]), int(size[0])
 
 
 def _several(raws: list[Tags]) -> str:

@@ -41,7 +41,7 @@ class LinearPhotographs(MultiviewSet):
 
     def radiance(self, i: int) -> np.ndarray:
         """Linear RGB of view `i`, float32 [h,w,3], undistorted."""
-        light = middle(read_linear(self.files[i]), self.rig.height, self.rig.width)
+        light = part_of(read_linear(self.files[i]), self.files[i], self.rig.height, self.rig.width)
         return light if self.lenses is None else self.lenses[i].undistort(light, self.rig.Ks[i])
 
     def image(self, i: int) -> np.ndarray:
@@ -193,9 +193,9 @@ def within_margins(whole: tuple[int, int], part: tuple[int, int]) -> bool:
     return all(0.95 * outer <= inner <= outer for outer, inner in zip(whole, part, strict=True))
 
 
-def middle(light: np.ndarray, height: int, width: int) -> np.ndarray:
-    """The central part of an image [h,w,...]."""
-    y, x = (light.shape[0] - height) // 2, (light.shape[1] - width) // 2
+def part_of(light: np.ndarray, file: Path, height: int, width: int) -> np.ndarray:
+    """The part of the image [h,w,...] in a file that is the picture of this size."""
+    y, x = raw_files.place_of(file, light.shape[:2], height, width)
     return light[y : y + height, x : x + width]
 
 

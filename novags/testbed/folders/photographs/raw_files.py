@@ -268,6 +268,20 @@ def size(path: Path) -> tuple[int, int]:
         return (raw.sizes.width, raw.sizes.height) if area is None else (area[3] - area[1], area[2] - area[0])
 
 
+def place_of(path: Path, shape: tuple[int, int], height: int, width: int) -> tuple[int, int]:
+    """Top and left of a picture of this size in the pixels of a raw file: as its crop says, else the middle."""
+    facts = read_dng(path) if path.suffix.lower() == ".dng" else None
+    crop = None if facts is None else facts.crop
+    if (
+        crop is not None
+        and crop[2:] == (height, width)
+        and crop[0] + height <= shape[0]
+        and crop[1] + width <= shape[1]
+    ):
+        return crop[:2]
+    return (shape[0] - height) // 2, (shape[1] - width) // 2
+
+
 def _active(path: Path) -> tuple[int, int, int, int] | None:
     facts = read_dng(path)
     return None if facts is None else facts.active

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from novags.testbed.folders.photographs.raw_files import (
+    place_of,
     read_digital_numbers,
     read_format,
     read_mosaic,
@@ -118,3 +119,11 @@ def test_codes_that_do_not_fit_their_file_are_refused(
 ) -> None:
     with pytest.raises(ValueError, match=message):
         read_format(write_dng(tmp_path / "a.dng", codes, black=[black], white=white))
+
+
+def test_the_picture_is_where_the_crop_of_the_file_says(tmp_path: Path) -> None:
+    """Rationale: poses are of the cropped picture. It was taken for the middle, which is some pixels off."""
+    crop: Any = {50719: ("R", [6.0, 1.0]), 50720: ("R", [56.0, 44.0])}
+    file = write_dng(tmp_path / "a.dng", mosaic_of(LIGHT, 512.0), crop, black=[512])
+    assert place_of(file, (H, W), 44, 56) == (1, 6)
+    assert place_of(file, (H, W), 40, 56) == (4, 4)  # of another size: the middle
