@@ -37,6 +37,9 @@ def test_each_place_has_its_own_black_level(tmp_path: Path) -> None:
                      black=levels.ravel().tolist())  # fmt: skip
     for found in developed(file):
         np.testing.assert_allclose(found, COLOUR, rtol=0.01)
+    camera = raw_camera(file, None, "menon")
+    for light in (camera.develop(camera.codes(file)), read_radiance(file)):
+        assert light[8:-8, 8:-8].std((0, 1)).max() < 0.001
 
 
 def test_black_levels_that_rise_from_row_to_row_are_followed(tmp_path: Path) -> None:
