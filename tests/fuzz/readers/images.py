@@ -84,7 +84,6 @@ def make_jpeg(folder: Path) -> None:
     picture.save(folder / "plain.jpg", quality=85)
     picture.save(folder / "progressive.jpg", progressive=True)
     picture.convert("L").save(folder / "grey.jpg")
-    picture.convert("CMYK").save(folder / "cmyk.jpg")
     exif = Image.Exif()
     exif[274], exif[33434] = 6, 0.01
     picture.save(folder / "exif.jpeg", exif=exif)

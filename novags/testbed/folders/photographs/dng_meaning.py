@@ -6,6 +6,7 @@ development (opcodes), black levels by place, several raw pictures in one file.
 Source: Adobe DNG 1.7.1, chapters 3 to 7.
 """
 
+import math
 import struct
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from novags.testbed.folders.photographs.dng_tags import Tags, directories
+from simscenes.sets.pictures.image_file import MAX_PIXELS
 
 KIND, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC, SAMPLES, FORM = 254, 256, 257, 258, 259, 262, 277, 339
 VERSION, CFA_DIM, CFA_LAYOUT, BLACK_DIM, BLACK, DELTA_H, DELTA_V = 50706, 33421, 50711, 50713, 50714, 50715, 50716
@@ -72,7 +74,7 @@ def read_dng(path: Path) -> DngFacts | None:
             raise ValueError(f"{path} {problem}")
     tags = raws[0]
     height, width = tags.first(HEIGHT, 0), tags.first(WIDTH, 0)
-    area = [int(v) for v in tags.numbers(ACTIVE)]
+    area = tags.wholes(ACTIVE)
     inside = len(area) == 4 and 0 <= area[0] < area[2] <= height and 0 <= area[1] < area[3] <= width
     if area and not inside:
         raise ValueError(f"{path} must have its active area inside of {width} x {height} px, got rows {area[0:3:2]} "
@@ -180,13 +182,15 @@ def _black(tags: Tags, shape: tuple[int, int], path: Path) -> np.ndarray | None:
     if not levels and not across and not down:
         return None
     samples = tags.first(SAMPLES, 1)
-    rows, columns = (*[int(v) for v in tags.numbers(BLACK_DIM)], 1, 1)[:2] if tags.numbers(BLACK_DIM) else (1, 1)
+    rows, columns = (*tags.wholes(BLACK_DIM), 1, 1)[:2]
     if len(levels or [0]) not in (1, rows * columns * samples) or not (
         0 < rows <= shape[0] and 0 < columns <= shape[1]
     ):
         raise ValueError(f"{path} must state {rows} x {columns} x {samples} black levels, got {len(levels)}: convert "
                          "it again")  # fmt: skip
-    found = np.resize(np.array(levels or [0.0]), (rows, columns, samples))
+    if not np.isfinite([*levels, *across, *down]).all() or samples > 4 or math.prod(shape) > MAX_PIXELS:
+        raise ValueError(f"{path} must state finite black levels of at most {MAX_PIXELS} pixels: convert it again")
+    found = np.resize(np.array(levels or [0.0], np.float32), (rows, columns, samples))
     for what, deltas, side in (("column", across, shape[1]), ("row", down, shape[0])):
         if deltas and len(deltas) != side:
             raise ValueError(f"{path} must state a black level for each {what} of {side}, got {len(deltas)}: convert "

@@ -35,6 +35,11 @@ class Tags:
         """The values of a tag; none where it is not there."""
         return [float(v) for v in self.values.get(tag, ())]
 
+    def wholes(self, tag: int) -> list[int]:
+        """The values of a tag as whole numbers; none where one is not finite."""
+        found = self.numbers(tag)
+        return [int(v) for v in found] if np.isfinite(found).all() else []
+
     def first(self, tag: int, default: int) -> int:
         """The first value of a tag as a whole number."""
         found = self.values.get(tag)

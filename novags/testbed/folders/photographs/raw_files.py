@@ -22,6 +22,7 @@ LOST = 0.01  # of the rows: where more of them repeat their first two codes, a p
 # Codes may be above the white level, where a camera saturates unevenly; many that are half as large again are of
 # another scale. Codes of no light scatter around the black level, by less than this share of the range.
 OVER, SOME, BELOW = 1.5, 0.02, 0.02
+SEEN = 2048  # px in the middle that show whether filters are those that are stated
 IDENTITY = 1e-3  # files keep matrices as float32 and short fractions; the eye sees nothing of it
 
 
@@ -113,7 +114,8 @@ def _black(raw: Any, path: Path, shape: tuple[int, ...]) -> tuple[tuple[float, .
                              "which are not read: convert it with the black level subtracted")  # fmt: skip
         means = np.resize(facts.black.mean((0, 1)), 3)
         return tuple(float(v) for v in means), None
-    whole = np.tile(facts.black[..., 0], (-(-shape[0] // rows), -(-shape[1] // columns)))[: shape[0], : shape[1]]
+    side = shape[:2] if max(rows, columns) > 2 else (2, 2)
+    whole = facts.black[..., 0][np.ix_(np.arange(side[0]) % rows, np.arange(side[1]) % columns)]
     cell = [whole[y::2, x::2] for y in (0, 1) for x in (0, 1)]
     uneven = any(np.ptp(place) > EVEN for place in cell)
     return tuple(float(place.mean()) for place in cell), whole if uneven else None
@@ -349,12 +351,13 @@ def _check_codes(codes: np.ndarray, raw: Any, path: Path) -> None:
 
 def _is_quad(raw: Any, path: Path) -> bool:
     """Whether pixels behind filters of the same colour have a pattern of their own, beside their black levels."""
-    codes = _part(raw.raw_image, raw, path).astype(np.float64)
+    whole = _part(raw.raw_image, raw, path)
+    y, x = (np.arange(max(0, side - SEEN) // 4 * 2, min(side, (side + SEEN) // 2)) for side in whole.shape)
+    codes = whole[np.ix_(y, x)].astype(np.float64)
     facts = read_dng(path)
     if facts is not None and facts.black is not None:
         rows, columns, _ = facts.black.shape
-        whole = np.tile(facts.black[..., 0], (-(-codes.shape[0] // rows), -(-codes.shape[1] // columns)))
-        codes -= whole[: codes.shape[0], : codes.shape[1]]
+        codes -= facts.black[..., 0][np.ix_(y % rows, x % columns)]
     return is_mosaic(*(codes[y::2, x::2] for y in (0, 1) for x in (0, 1)))
 
 
