@@ -18,7 +18,8 @@ SRGB = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)  # x, y of red, gree
 ALIKE = 0.005  # of these: programs round them
 # Names that mean linear light in the colours of sRGB, by the attributes of OpenEXR 3.4, OpenImageIO and Nuke.
 LINEAR = {"lin_rec709_scene", "lin_rec709", "lin_srgb", "lin_srgb_scene", "linear", "scene_linear", "linear srgb",
-          "data", "linear rec.709", "linear rec.709 (srgb)", "linear bt.709", "raw", "unknown", "none", ""}  # fmt: skip
+          "data", "linear rec.709", "linear rec.709 (srgb)", "linear bt.709",
+          "linear bt.709 i-d65", "utility - linear - srgb", "raw", "unknown", "none", "1", "1.0", ""}  # fmt: skip
 SPEAK = ("colorspace", "colourspace", "colorinteropid", "gamma", "transfer", "primaries", "lookmodtransform",
          "renderingtransform")  # fmt: skip
 DEEP = ("deepscanline", "deeptile")

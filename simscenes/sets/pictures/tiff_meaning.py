@@ -18,6 +18,7 @@ READ = {254, 256, 257, 258, 259, 262, 266, 273, 274, 277, 278, 279, 284, 292, 29
         338, 339, 347, 512, 513, 514, 515, 517, 518, 519, 520, 521, 529, 530, 531, 532}  # fmt: skip
 HARMLESS = {255, 263, 264, 265, 269, 270, 271, 272, 280, 281, 282, 283, 285, 286, 287, 288, 289, 296, 297, 305, 306,
             315, 316, 318, 319, 321, 326, 327, 328, 333, 337, 340, 341, 343, 344, 345, 346, 351, 700}  # fmt: skip
+WINDOWS = {1, 2, 11, 18246, 18247, 18249, *range(0x5000, 0x5200)}  # versions, ratings and thumbnails
 REFUSED = {
     290: "GrayResponseUnit, a curve of gray", 291: "GrayResponseCurve, a curve of gray",
     301: "TransferFunction, a curve between codes and light", 332: "InkSet, inks of a printer",
@@ -72,7 +73,7 @@ def unfit_tiff(image: Any, pages: int) -> str:
     """
     if image.format != "TIFF":
         return ""
-    for tag in sorted(set(image.tag_v2) - READ - HARMLESS):
+    for tag in sorted(set(image.tag_v2) - READ - HARMLESS - WINDOWS):
         if tag in REFUSED or tag < PRIVATE:
             what = REFUSED.get(tag, "which is not known")
             return f"has the TIFF tag {tag} ({what}), which is not read: save it as a plain TIFF or PNG, or, {DNG}"
