@@ -134,7 +134,7 @@ class Darkroom:
             return part_of(image, file, rig.height, rig.width)
         raise ValueError(
             f"{file} must be {rig.width} x {rig.height} px like the pictures that {self.views.path} has cameras of, "
-            f"got {width} x {height}"
+            f"got {width} x {height}{_shrunk((width, height), (rig.width, rig.height))}"
         )
 
     def _undistort(self, image: np.ndarray, i: int) -> np.ndarray:
@@ -147,3 +147,12 @@ class Darkroom:
         import cv2
 
         return cv2.resize(image, (self.rig.width, self.rig.height), interpolation=cv2.INTER_AREA)
+
+
+def _shrunk(found: tuple[int, int], wanted: tuple[int, int]) -> str:
+    """The likely cause, where one size is a whole multiple of the other."""
+    times = found[0] // max(wanted[0], 1)
+    if times < 2 or found != (times * wanted[0], times * wanted[1]):
+        return ""
+    return (f": the pictures with cameras are probably shrunk by {times}; give cameras for {found[0]} x {found[1]} px, "
+            "with pictures of that size")  # fmt: skip

@@ -18,7 +18,7 @@ from novags.testbed.importing.darkroom import Darkroom
 from novags.testbed.importing.exposures import OF_CLEAN, check_exposed_alike
 from novags.testbed.importing.published.datasets import DATASETS, Dataset, dataset_of
 from novags.testbed.importing.raw_camera import raw_camera
-from novags.testbed.importing.stored import Codes16, is_lossy
+from novags.testbed.importing.stored import Codes16, is_lossy, read_stored
 from novags.testbed.importing.twins import Twins, twins_by_order, twins_of
 from novags.testbed.ledger.stage import run_stage
 from novags.testbed.stages.capturing import files_of
@@ -30,6 +30,7 @@ from sensor_model.params import Exposure
 from simscenes.sets.multiview import write_cameras
 from simscenes.sets.pictures.png import write_png
 
+CODES = 6  # different ones in a picture, from which on a common divisor is no accident
 OWN_TONE = 1.25  # or more times the light of the raw files is a camera's tone curve, not the rounding to 8 bits
 
 
@@ -174,6 +175,16 @@ def _say_no_codes(codes: Codes16, console: Console) -> None:
         console.warn(f"no picture here has 16 bits, so these options have no effect: {', '.join(given)}")
 
 
+def _say_spaced(file: Path, console: Console) -> None:
+    """Say that codes stand apart, as those of fewer bits do that are stored at the top of 16."""
+    codes = np.unique(read_stored(file))
+    step = int(np.gcd.reduce(codes)) if len(codes) >= CODES else 1
+    if step > 1:
+        console.warn(f"codes of {file.name} are multiples of {step}: they are probably of "
+                     f"{16 - (step.bit_length() - 1)} bits, stored at the top of 16, so that --black is {step} times "
+                     "the camera's own")  # fmt: skip
+
+
 def _say(dark: Dark, darkroom: Darkroom, config: ImportConfig, match: Match | None, console: Console) -> None:
     """Assumptions about the photographs, and losses in the import."""
     for file in dict.fromkeys((*dark.files[:1], *dark.raws[:1])):
@@ -185,6 +196,7 @@ def _say(dark: Dark, darkroom: Darkroom, config: ImportConfig, match: Match | No
             f"import: 16-bit files: code {config.black:g} is black, {config.white:g} white, {curve} in between{says} "
             "(--black, --white, --curve)"
         )
+        _say_spaced(dark.files[0], console)
     if darkroom.resampled and (dark.raws or config.camera):
         kept = "no raw frames" if dark.raws else ""
         noise = "no known noise" if config.camera else ""
