@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 import torch
 
-from novags.methods.enhancers.zero_dce import ZeroDce
+from novags.methods.enhancers.networks.zero_dce import ZeroDce
 from novags.testbed import stages
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import open_capture
