@@ -206,3 +206,13 @@ def test_whole_electrons_that_are_whole_codes_lose_nothing_in_rounding(shot, rou
     # a normal 1.1 codes wide is integrated in steps of 0.06 codes
     assert float(frame.mean_dn[0, 0]) == pytest.approx(101.3, abs=0.01)
     assert float(frame.variance_dn[0, 0]) == pytest.approx(1.3 + rounding, abs=0.03)
+
+
+def test_few_electrons_of_many_codes_are_cut_off_at_white_though_white_is_eight_deviations_away():
+    """Rationale: one electron in a hundred pixels is ten deviations of their noise."""
+    sensor = camera({"gain": 100.0, "bits": 10, "black_level": 938.0, "sigma_d": 0.01})
+    frame = expose(np.full((500, 600), 0.01 / sensor.eta), sensor, EXPOSURE, seed=2, view=0)
+    dn = frame.dn.astype(np.float64)
+    assert dn.max() == sensor.max_dn < sensor.black_level + sensor.gain
+    assert frame.mean_dn.max() == pytest.approx(dn.mean(), abs=5 * dn.std() / dn.size**0.5)
+    assert frame.variance_dn.max() == pytest.approx(dn.var(), rel=0.1)

@@ -322,3 +322,23 @@ def test_a_plan_prints_as_a_table_and_survives_json():
 def test_bad_signals_and_limits_are_refused(signal, tolerance):
     with pytest.raises(ValueError, match="must be"):
         plan_effects(EVERYTHING, EXPOSURE, signal, tolerance)
+
+
+DARKNESS = {"dark_current", "dsnu", "row_noise", "column_noise", "banding", "hot_pixels", "telegraph_noise"}
+
+
+def test_what_does_not_grow_with_the_light_costs_most_at_the_darkest_signal():
+    """Expectation: brighter pixels beside dark ones change no such cost."""
+    limits = Limits(sd=0.05, bias_dn=1e9)  # of no cost is the bias the worst
+    alone, beside = (plan_effects(EVERYTHING, EXPOSURE, signal, limits) for signal in ([2.0], [2.0, 500.0]))
+    for name in DARKNESS:
+        assert beside[name].contribution == pytest.approx(alone[name].contribution) != 0, name
+
+
+@pytest.mark.parametrize("gain", [0.5, 3.0])
+def test_a_bias_is_allowed_that_share_of_the_noise_in_codes(gain):
+    """Expectation: in codes the noise of a pixel is gain times its electrons, with the steps of the codes in it."""
+    sensor = replace(EVERYTHING, gain=gain)
+    found = plan_effects(sensor, EXPOSURE, [20.0, 500.0], Limits(sd=0.05))["black_bias"]
+    noise = math.sqrt(gain**2 * (20.0 + sensor.sigma_d**2) + 1 / 12)
+    assert found.bound == pytest.approx(0.05 * noise)

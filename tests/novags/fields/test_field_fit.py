@@ -295,7 +295,7 @@ def test_the_seed_varies_the_field_at_the_start_and_the_pixels_of_every_step() -
     start = [fitted(dataclasses.replace(TINY, iterations=1, rate=1e-12, seed=seed))[0] for seed in seeds]
     first, again, other = (torch.cat([t.flatten() for t in fit.state.field.tensors().values()]) for fit in start)
     assert torch.equal(first, again)
-    assert not torch.equal(first, other)
+    assert float((first - other).abs().max()) > 1e-6  # much more than the step
     seen: dict[int, list[Tensor]] = {seed: [] for seed in seeds}
     views, images, _, points = ball()
     box, loss = box_of(views.centers, points), mse(images)

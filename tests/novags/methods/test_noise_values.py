@@ -199,3 +199,13 @@ def test_brightness_is_near_the_brightest_measured_green() -> None:
     assert 0.9 < found < 1.0
     with pytest.raises(ValueError, match="must be above black"):
         brightness(SimpleNamespace(light=-light.abs()))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("bend", [None, BEND])
+def test_the_noise_of_linear_pictures_above_their_black_is_that_of_the_pictures(bend):
+    """Expectation: the datum decides, also above the switch of the gains and at white."""
+    curve = replace(CURVE, bend=bend)
+    noise = SimpleNamespace(raw=None, linear16=Variance(curve))
+    found = measured_light(noise, None, torch.zeros(1, 1, 1, 3), ())
+    datum = means()
+    np.testing.assert_allclose(found.noise.curve.variance(datum - np.array(curve.black)), curve.variance(datum))

@@ -210,3 +210,8 @@ def test_a_file_that_is_not_there_is_named_with_its_setting(tmp_path: Path) -> N
     refuse_lost_files(there, "mine")
     with pytest.raises(ValueError, match=r"^mine: one is .*gone, but that file does not exist"):
         refuse_lost_files(changed(there, {"one": str(tmp_path / "gone")}), "mine")
+
+
+def test_a_list_in_text_has_all_its_parts():
+    assert changed(Outer(), {"inner.widths": "3,4,5"}).inner.widths == (3, 4, 5)
+    assert changed(Outer(), {"inner.widths": [3, 4, 5]}).inner.widths == (3, 4, 5)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from simscenes.backend import activate
+from simscenes.loading.digest import content_digest
 from simscenes.loading.load import build_scene
 from simscenes.sets.pictures.png import write_png
 
@@ -86,3 +87,10 @@ def test_two_files_with_exchanged_contents_are_another_scene(tmp_path: Path) -> 
         return build_scene(tmp_path / folder / "scene.xml", mi).digest
 
     assert digest("a", 50, 200) == digest("b", 50, 200) != digest("c", 200, 50)
+
+
+def test_two_parameters_that_change_places_make_another_scene() -> None:
+    values = {"red.reflectance.value": 0.1, "blue.reflectance.value": 0.9}
+    names = list(values)
+    other = dict(zip(names, reversed(values.values()), strict=True))
+    assert content_digest({}, values) == content_digest({}, dict(reversed(values.items()))) != content_digest({}, other)

@@ -89,7 +89,8 @@ class Pool:
                 self._start(key)
 
     def _start(self, key: str) -> None:
-        idle = next((worker for worker in self.workers if worker.key is None), None)
+        # the one whose memory `_fits` counts as the job's already
+        idle = max((w for w in self.workers if w.key is None), key=lambda w: w.resident, default=None)
         if idle is None:
             idle = Worker.start(self.place, self.environment)
             self.workers.append(idle)

@@ -60,3 +60,13 @@ def test_checkpoints_of_a_run_of_other_pictures_or_settings_are_refused(dark: An
     (tmp_path / trainer.CHECKPOINTS / "run").unlink()  # of nobody knows whom
     with pytest.raises(ValueError, match="delete it"):
         train(inputs, config, checkpoint=checkpoint)
+
+
+def test_the_losses_of_all_fits_follow_each_other_in_the_iterations_of_the_run(dark: Any) -> None:
+    """Expectation: every tenth iteration of each fit, and its last, after the iterations of the fits before."""
+    config = replace(CONFIG, stages="likelihood", fit=replace(CONFIG.fit, iterations=60))
+    each, joined = config.iterations("likelihood"), config.iterations("merged")
+    assert each > 20
+    ends = [(0, each), (each, 2 * each), (2 * each, 2 * each + joined)]
+    wanted = [k for start, end in ends for k in range(start + 1, end + 1) if (k - start) % 10 == 0 or k == end]
+    assert [entry["iteration"] for entry in train(dark()[0], config).losses] == wanted

@@ -138,3 +138,14 @@ def test_wrong_settings_are_refused() -> None:
         LuminanceGsConfig(lit_weight=-1)
     with pytest.raises(ValueError, match="seen must be >= 8 px, got 4"):
         LuminanceGsConfig(seen=4)
+
+
+def test_the_curves_start_elsewhere_with_another_seed(problem: Callable[..., Problem]) -> None:
+    inputs, short = problem(), dataclasses.replace(CONFIG.fit, iterations=1)
+    config = dataclasses.replace(CONFIG, fit=short, curve_rate=0.0, attention_rate=0.0, axes_rate=0.0)
+    first, again, other = (train(dataclasses.replace(inputs, seed=seed), config).targets for seed in (0, 0, 1))
+    assert isinstance(first, torch.Tensor)
+    assert isinstance(again, torch.Tensor)
+    assert isinstance(other, torch.Tensor)
+    assert torch.equal(first, again)
+    assert not torch.equal(first, other)

@@ -1,6 +1,7 @@
 """The training loop: it learns, resumes to the bit, and passes on what it is given."""
 
 import dataclasses
+import importlib
 import math
 import sys
 
@@ -330,3 +331,23 @@ def test_another_seed_gives_another_order_of_the_views():
     one, other = ([FitConfig(seed=seed).view_at(i, 20) for i in range(20)] for seed in (0, 1))
     assert one != other
     assert sorted(one) == sorted(other) == list(range(20))
+
+
+def test_relocation_growth_noise_and_the_first_cut_draw_by_the_seed(monkeypatch):
+    """Rationale: the order of the views varies with the seed too, and hides that another stream does not."""
+    module = importlib.import_module("novags.splats.training.fit")
+    drawn: list[tuple[str, int]] = []
+    originals = {name: getattr(module, name) for name in ("prune_to_cap", "relocate", "grow", "add_noise")}
+    for name in originals:
+
+        def watched(*args, name=name, **options):
+            drawn.append((name, args[-1].initial_seed()))
+            return originals[name](*args, **options)
+
+        monkeypatch.setattr(module, name, watched)
+    start, views, images = problem(40)
+    mcmc = McmcConfig(refine_start=0, refine_stop=9, refine_every=2)
+    for seed in (1, 2):
+        fit(start, views, lambda i: images[i], config(iterations=4, cap_max=30, mcmc=mcmc, seed=seed))
+    assert {name for name, _ in drawn} == set(originals)
+    assert len(set(drawn)) == len(drawn)

@@ -249,6 +249,7 @@ def test_frames_show_the_gaussians_from_there_and_the_nearest_pictures(
 
     @contextmanager
     def kept(path: Path, fps: float, count: int) -> Iterator[Any]:
+        assert (fps, count) == (9.0, 9)
         yield type("Kept", (), {"add": lambda self, made: frames.append(made)})()
 
     def noted(panels: list[CaptionedPicture]) -> np.ndarray:
@@ -336,3 +337,15 @@ def test_a_run_without_gaussians_and_files_that_are_there_are_refused_in_one_lin
     assert [path.name for path in tmp_path.iterdir()] == ["f.mp4"]
     (tmp_path / "d.mp4").mkdir()
     assert "d.mp4 is a folder: choose another --out" in said("--out", str(tmp_path / "d.mp4"), "--overwrite")
+
+
+def test_a_film_has_the_median_focal_lengths_of_its_cameras(run: Path, tmp_path: Path) -> None:
+    shutil.copytree(run.parent, tmp_path / "copy")
+    file = tmp_path / "copy" / run.name / "cameras.json"
+    lenses = json.loads(file.read_text())
+    for lens, fx in zip(lenses, (10.0, 40.0, 20.0), strict=True):
+        lens["fx"], lens["fy"] = fx, 2 * fx
+    file.write_text(json.dumps(lenses))
+    opened = open_run(file.parent)
+    K = video.Course.of(opened, opened.inputs(QUIET)[0]).K
+    assert (K[0, 0], K[1, 1]) == (20.0, 40.0)

@@ -120,3 +120,12 @@ def test_light_without_a_stated_balance_is_not_made_grey_picture_by_picture(tmp_
     red, blue = (read_radiance(tmp_path / f"{name}.dng").mean((0, 1)) for name in ("red", "blue"))
     assert red[0] > 3 * red[2]
     assert blue[2] > 3 * blue[0]
+
+
+@pytest.mark.parametrize("channels", [None, 3])
+def test_a_file_states_the_black_of_each_filter_and_its_own_white(channels: int | None, tmp_path: Path) -> None:
+    camera = CAMERA if channels is None else PRESETS["a7s2-iso6400-3chip"]
+    write_dng(tmp_path / "a.dng", frame(camera, channels), camera, Exposure(time=0.01))
+    found = read_format(tmp_path / "a.dng")
+    assert found.black == (camera.black_level,) * (channels or 4)
+    assert found.white == int(camera.white_dn) > camera.black_level

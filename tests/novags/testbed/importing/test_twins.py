@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from novags.testbed.console.terminal import Console
-from novags.testbed.importing.twins import twins_of
+from novags.testbed.importing.twins import Twins, twins_of
 from simscenes.sets.multiview import MultiviewSet, load_set
 from simscenes.sets.pictures.png import write_png
 from simscenes.sets.writers.camera_files import write_cameras
@@ -43,3 +43,11 @@ def test_names_that_both_count_without_zeros_are_paired_by_order(tmp_path: Path)
     found = twins_of(dark, twins, "--lit", QUIET)
     assert [file.stem.removeprefix("lit-") for file in found.files] == [n.removeprefix("dark") for n in dark.names]
     assert found.paired == "order"
+
+
+def test_twins_in_another_order_or_with_another_picture_are_others(tmp_path: Path) -> None:
+    folder = pictures(tmp_path, ["a", "b", "c"])
+    a, b, c = (folder / f"{name}.png" for name in "abc")
+    digests = [Twins(folder, files, "order").digest() for files in ((a, b), (a, b), (b, a), (a, c), (a, b, c))]
+    assert digests[0] == digests[1]
+    assert len(set(digests)) == 4

@@ -223,3 +223,11 @@ def test_no_two_texts_of_a_chart_overlap_and_none_leaves_it(
     assert len(found) >= 2
     assert all(chart["texts"] > 5 for chart in found)
     assert [(chart["beyond"], chart["over"]) for chart in found] == [([], [])] * len(found)
+
+
+@pytest.mark.parametrize("ends", [{"low": 2.0}, {"high": 8.0}, {}])
+def test_a_point_that_lacks_an_end_of_its_bar_has_none(ends: dict[str, float]) -> None:
+    points = [Point(2.0, 5.0, low=3.0, high=7.0), Point(6.0, 5.0, **ends)]
+    svg = drawn(Series("n", "m0", points, mark=MARKS[0]))
+    (bars,) = re.findall(r'class="spread [^"]*" d="([^"]*)"', svg)
+    assert bars.count("V") == 1

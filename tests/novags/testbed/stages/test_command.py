@@ -5,6 +5,7 @@ import hashlib
 import json
 import os
 import shlex
+import shutil
 import sys
 import time
 from dataclasses import replace
@@ -17,6 +18,7 @@ from novags.testbed import stages
 from novags.testbed.console.terminal import Console
 from novags.testbed.dataset.nerfbaselines import checksum, encoded, export_results
 from novags.testbed.importing.programs import output_of, run_program
+from novags.testbed.stages import command
 from novags.testbed.stages.command import run_command
 from novags.testbed.stages.configs.capturing import CaptureConfig
 from novags.testbed.stages.configs.command import CommandConfig, read_commands
@@ -312,3 +314,20 @@ def test_memory_of_children_that_another_thread_started_counts(tmp_path: Path) -
         f"args=([sys.executable, '-c', {child!r}],)); thread.start(); thread.join()"
     )
     assert run_program([sys.executable, "-c", code], tmp_path, timeout=60, tick=lambda _: None).peak_bytes > 150e6
+
+
+@pytest.mark.parametrize("part", ["capture", "photos"])
+def test_a_run_of_a_capture_or_set_that_changed_while_its_program_was_at_work_is_not_kept(
+    part: str, capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(capture.parent, tmp_path / "copy")
+    images = tmp_path / "copy" / part / "images"
+
+    def changing(*_: object) -> dict[str, object]:
+        (images / "0003.png").write_bytes((images / "0004.png").read_bytes())
+        return {}
+
+    monkeypatch.setattr(command, "_reconstruct", changing)
+    changed = "capture" if part == "capture" else "set"
+    with pytest.raises(ValueError, match=f"the {changed} that it reads changed while"):
+        run_command(tmp_path / "copy" / "capture", tmp_path / "run", method(tmp_path, "a = 1"), QUIET)

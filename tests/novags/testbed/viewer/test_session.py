@@ -74,3 +74,13 @@ def test_the_box_for_cameras_shows_and_hides_those_of_the_method_too(runs: dict[
 )
 def test_the_address_can_be_opened_whatever_the_network_interface(host: str, address: str) -> None:
     assert address_of(host, 8080) == address
+
+
+def test_each_run_has_a_scene_of_its_own_that_is_read_once(runs: dict[str, Path]) -> None:
+    (shown,) = shown_of([runs["first"], runs["second"]], Console(quiet=True))
+    first, second = (shown.scene(name) for name in shown.runs)
+    assert first is not None
+    assert second is not None
+    means = [scene[0].gaussians.means for scene in (first, second)]  # type: ignore[attr-defined]
+    assert means[0].shape != means[1].shape or not bool((means[0] == means[1]).all())
+    assert shown.scene(next(iter(shown.runs))) is first

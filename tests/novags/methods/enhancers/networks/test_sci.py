@@ -158,3 +158,17 @@ def test_every_block_adds_to_what_the_ones_before_it_made():
     for _ in range(3):
         seen = seen + network.conv(seen)
     torch.testing.assert_close(network.added(picture), network.out_conv(seen))
+
+
+def test_each_block_of_the_illumination_is_added() -> None:
+    """Rationale: the published illumination has one block, and would hide that only the first is asked."""
+    lone, twice = Illumination(blocks=1).double().eval(), Illumination(blocks=2).double().eval()
+    one = network().enhance.state_dict()
+    lone.load_state_dict(one)
+    twice.load_state_dict(one | {name.replace("blocks.0", "blocks.1"): value for name, value in one.items()})
+    x = torch.from_numpy(picture())[None]
+    with torch.no_grad():
+        once = lone.in_conv(x) + lone.conv(lone.in_conv(x))
+        torch.testing.assert_close(lone.added(x), lone.out_conv(once))
+        torch.testing.assert_close(twice.added(x), lone.out_conv(once + lone.conv(once)))
+        assert float((lone.added(x) - twice.added(x)).abs().max()) > 1e-4

@@ -160,3 +160,17 @@ def test_official_weights_make_dark_photographs_bright(official, dark_fox, plaus
         found, params = ZERO_DCE.enhance(torch.from_numpy(dark), config, None, None)
         assert params is None
         plausible(dark, found.numpy(), bright)
+
+
+def test_colour_and_exposure_are_asked_of_the_enhanced_picture_alone() -> None:
+    """Expectation: grey at the published exposure has no loss, however coloured and dark its original is."""
+    dark = torch.tensor([0.02, 0.1, 0.05]).view(1, 3, 1, 1).expand(2, 3, 32, 32)
+    still = torch.zeros(2, 24, 32, 32)
+    bright = {name: torch.full((2, 3, 32, 32), 0.6) for name in ("good", "dim", "red", "rough")}
+    bright["dim"] *= 0.5
+    bright["red"] *= torch.tensor([1.2, 0.9, 0.9]).view(1, 3, 1, 1)
+    rough = torch.tensor([0.9, 1.1]).repeat(4).repeat_interleave(part.REGION)
+    bright["rough"] *= rough
+    lost = {name: float(part.loss(lambda _, b=b: (b, still), dark, ZeroDceConfig())) for name, b in bright.items()}
+    assert lost["good"] == pytest.approx(0, abs=1e-6)
+    assert min(lost[name] for name in ("dim", "red", "rough")) > 1e-3

@@ -112,3 +112,9 @@ def test_a_setting_between_two_others_mixes_factors_and_losses_alike_from_either
     assert (quarter.lost, quarter.sd) == (pytest.approx(1.5), 0.3)
     assert along(curve, 0.25) == curve[0]
     assert along(curve, 1.0) == curve[1]
+
+
+def test_between_settings_only_parts_that_both_measured_have_a_factor() -> None:
+    low, high = Option("x", 0.25, {"fit": 0.2, "render": 0.5}, 2.0, 0.1), Option("x", 1.0, {"fit": 1.0}, 0.0, 0.3)
+    ends = (low, high), (Option("x", 0.25, high.factors, 2.0, 0.1), Option("x", 1.0, low.factors, 0.0, 0.3))
+    assert [along(curve, 0.5).factors.keys() for curve in ends] == [{"fit"}, {"fit"}]

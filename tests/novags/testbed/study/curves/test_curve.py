@@ -11,7 +11,7 @@ import pytest
 
 from novags.testbed.report.charts import DISC
 from novags.testbed.report.curves import page
-from novags.testbed.report.curves.figure import DIAMOND, figure
+from novags.testbed.report.curves.figure import DIAMOND, _series, figure
 from novags.testbed.report.curves.table import said, tables
 from novags.testbed.study.curves.curve import curves, read_curves, write_curves
 from novags.testbed.study.knobs.knob import Knob, Reading, Subject
@@ -207,3 +207,24 @@ def test_settings_must_differ_and_hold_the_default() -> None:
     for settings in ((1, 3), (2, 2)):
         with pytest.raises(ValueError, match="hold the default 2"):
             knob(settings)
+
+
+def test_every_knob_has_a_table_and_says_where_its_default_lies_wherever_that_stands(made: Any) -> None:
+    points = made.curves(2)
+    found = tables(points)
+    knobs = list(dict.fromkeys(point["knob"] for point in points))
+    assert re.findall(r"^#### (.*)$", found, re.M) == knobs
+    assert "not measured" not in found
+    for knob in knobs:
+        own = [point for point in points if point["knob"] == knob]
+        (default,) = [point for point in own if point["default"]]
+        others = [point for point in own if not point["default"]]
+        assert said([*others, default]) == said([default, *others])
+        assert said(others) == "The default is not measured yet."
+
+
+def test_the_default_and_the_others_are_drawn_in_their_own_colours(made: Any) -> None:
+    points = made.curves(2)
+    own = [point for point in points if point["knob"] == points[0]["knob"]]
+    drawn = [key for each in _series(own)[1:] for key in [each.key.partition(" ")[0]]]
+    assert drawn == ["other"] * (len(own) - 1) + ["default"]

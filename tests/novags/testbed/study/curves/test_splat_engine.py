@@ -55,3 +55,14 @@ def test_constants_are_changed_where_the_machine_code_is_a_settings_own(
     np.save(tmp_path / "truth.npy", np.zeros((8, 8, 3)))
     child.measure("exp2_degree", 5, changed=changed, n=4, size=8, seed=0, truth=str(tmp_path / "truth.npy"))
     assert turned == ([("exp2_degree", 5)] if changed else [])
+
+
+@pytest.mark.parametrize("supersampled", [False, True])
+def test_the_truth_of_another_seed_is_another_picture(supersampled: bool, tmp_path: Path) -> None:
+    pictures = []
+    for k, seed in enumerate((3, 3, 4)):
+        child.truth(str(tmp_path / f"{k}.npy"), n=12, size=8, seed=seed, supersampled=supersampled)
+        pictures.append(np.load(tmp_path / f"{k}.npy"))
+    assert pictures[0].shape == (8, 8, 3)
+    assert np.array_equal(pictures[0], pictures[1])
+    assert not np.allclose(pictures[0], pictures[2])
