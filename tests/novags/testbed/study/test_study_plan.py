@@ -278,3 +278,8 @@ def test_a_measurement_is_another_one_with_another_seed_setting_or_size(tmp_path
     keys = [planner.measurement(one) for one in (base, *others)]
     assert len(set(keys)) == 5
     assert planner.measurement(base) == keys[0]
+
+
+def test_all_runs_of_a_study_are_its_ends(tmp_path: Path) -> None:
+    found = plan(tmp_path)
+    assert found.ends == {key for key, task in found.tasks.items() if task.kind == "run"}

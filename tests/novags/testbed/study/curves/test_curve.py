@@ -226,5 +226,5 @@ def test_every_knob_has_a_table_and_says_where_its_default_lies_wherever_that_st
 def test_the_default_and_the_others_are_drawn_in_their_own_colours(made: Any) -> None:
     points = made.curves(2)
     own = [point for point in points if point["knob"] == points[0]["knob"]]
-    drawn = [key for each in _series(own)[1:] for key in [each.key.partition(" ")[0]]]
+    drawn = [each.key.partition(" ")[0] for each in _series(own)[1:]]
     assert drawn == ["other"] * (len(own) - 1) + ["default"]
