@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import base64
 import struct
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -21,7 +20,7 @@ from numpy.typing import NDArray
 
 from sensor_model.files.door import as_text, read_bytes, resolved
 from sensor_model.files.records import parse_json
-from simscenes.loading.gltf.allowed import ANNOUNCED, check_object
+from simscenes.loading.gltf.allowed import check_content
 
 MOST = 2 << 30  # bytes of a file
 NUMBERS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -45,10 +44,7 @@ class GltfDocument:
 
     def all(self, kind: str) -> list[Any]:
         """The list of this name; empty where there is none."""
-        found = self.content.get(kind) or []
-        if not isinstance(found, list):
-            raise ValueError(f"{self.path}: {kind} must be a list, got {found!r:.80}")
-        return found
+        return list(self.content.get(kind) or [])
 
     def one(self, kind: str, index: Any, where: str) -> Any:
         """An entry of a list.
@@ -115,7 +111,7 @@ class GltfDocument:
 
 
 def read_document(path: Path, *, allow_outside: bool = False) -> GltfDocument:
-    """Read a file, and check every object in it against the lists of `allowed`.
+    """Read a file, and check everything in it against the lists of `allowed`.
 
     Raises:
         ValueError: If it is not glTF 2.0, names a file outside its folder, or sets something that is not understood; or
@@ -125,14 +121,9 @@ def read_document(path: Path, *, allow_outside: bool = False) -> GltfDocument:
     data = read_bytes(path, most=MOST)
     binary = data[:4] == b"glTF"
     content = parse_json(as_text(_json_of(data, path) if binary else data, path), f"{path}")
-    if not isinstance(content, dict) or str((content.get("asset") or {}).get("version", "")).partition(".")[0] != "2":
-        raise ValueError(f"{path} must be glTF 2.0, with asset.version")
-    for name in content.get("extensionsRequired") or []:
-        if name not in ANNOUNCED:
-            raise ValueError(f"{path} requires the extension {name!r:.60}, which is not understood: export without it "
-                             "(compressed meshes: without compression)")  # fmt: skip
-    for kind, found, where in _objects(content):
-        check_object(found, kind, f"{path}: {where}")
+    check_content(content, f"{path}")
+    if content["asset"]["version"].partition(".")[0] != "2":
+        raise ValueError(f"{path} must be glTF 2.0, got version {content['asset']['version']!r:.40}")
     buffers, files = _read_buffers(path, content, data if binary else None, allow_outside)
     return GltfDocument(path, content, files, buffers)
 
@@ -143,34 +134,6 @@ def _json_of(data: bytes, path: Path) -> bytes:
     if kind != b"JSON" or 20 + length > len(data):
         raise ValueError(f"{path} is cut short or no binary glTF: get it again")
     return data[20 : 20 + length]
-
-
-def _objects(content: dict[str, Any]) -> Iterator[tuple[str, Any, str]]:
-    """Every object of the file with its kind and its place."""
-    yield "file", content, "the file"
-    plural = {"scenes": "scene", "nodes": "node", "meshes": "mesh", "materials": "material", "textures": "texture",
-              "images": "image", "samplers": "sampler", "cameras": "camera", "accessors": "accessor",
-              "bufferViews": "bufferView", "buffers": "buffer"}  # fmt: skip
-    inner = {"pbrMetallicRoughness": "pbrMetallicRoughness", "normalTexture": "normal texture",
-             "emissiveTexture": "texture info", "baseColorTexture": "texture info",
-             "metallicRoughnessTexture": "texture info", "perspective": "perspective",
-             "attributes": "attributes"}  # fmt: skip
-    waiting: list[tuple[str, Any, str]] = []
-    for name, kind in plural.items():
-        entries = content.get(name) or []
-        waiting += [(kind, entry, _place(kind, k, entry)) for k, entry in enumerate(entries)]
-    while waiting:
-        kind, found, where = waiting.pop()
-        yield kind, found, where
-        if kind == "mesh":
-            primitives = found.get("primitives") or []
-            waiting += [("primitive", part, f"primitive {k} of {where}") for k, part in enumerate(primitives)]
-        waiting += [(inner[key], value, f"{key} of {where}") for key, value in found.items() if key in inner]
-
-
-def _place(kind: str, number: int, entry: Any) -> str:
-    name = entry.get("name") if isinstance(entry, dict) else None
-    return f"{kind} {number} ({name:.60})" if isinstance(name, str) and name else f"{kind} {number}"
 
 
 def _read_buffers(
@@ -216,4 +179,7 @@ def _content(path: Path, uri: Any, where: str) -> bytes:
             )
         except ValueError as error:
             raise ValueError(f"{path}: {where}: its data address is damaged ({error})") from error
-    return read_bytes(resolved(path.parent / unquote(uri)), most=MOST)
+    try:
+        return read_bytes(resolved(path.parent / unquote(uri)), most=MOST)
+    except OSError as error:
+        raise ValueError(f"{path}: {where} names {uri!r:.100}, which cannot be read: {error.strerror}") from error

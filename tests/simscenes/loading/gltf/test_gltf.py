@@ -271,12 +271,12 @@ def change(path: str, value: Any) -> Callable[[dict[str, Any]], None]:
 
 
 REFUSED = [
-    ("nodes/0/skin", 0, r"node 0 \(floor\) sets 'skin', which is not understood"),
-    ("meshes/0/primitives/0/targets", [{"POSITION": 0}], "primitive 0 of mesh 0 sets 'targets'"),
-    ("meshes/0/primitives/0/attributes/JOINTS_0", 0, "attributes of primitive 0 of mesh 0 sets 'JOINTS_0'"),
+    ("nodes/0/skin", 0, r"nodes\[0\] \(floor\) sets 'skin', which is not understood"),
+    ("meshes/0/primitives/0/targets", [{"POSITION": 0}], r"meshes\[0\], primitives\[0\] sets 'targets'"),
+    ("meshes/0/primitives/0/attributes/JOINTS_0", 0, r"primitives\[0\], attributes sets 'JOINTS_0'"),
     ("meshes/0/primitives/0/mode", 1, "floor is drawn in mode 1: triangles"),
-    ("accessors/0/sparse", {"count": 1}, "accessor 0 sets 'sparse'"),
-    ("materials/0/extensions", {"KHR_materials_unlit": {}}, "material 0 uses the extension KHR_materials_unlit"),
+    ("accessors/0/sparse", {"count": 1}, r"accessors\[0\] sets 'sparse'"),
+    ("materials/0/extensions", {"KHR_materials_unlit": {}}, r"materials\[0\], extensions sets 'KHR_materials_unlit'"),
     (
         "materials/0/extensions",
         {"KHR_materials_transmission": {"transmissionFactor": 0.5}},
@@ -287,14 +287,17 @@ REFUSED = [
     ("materials/0/pbrMetallicRoughness/baseColorFactor", [2, 0, 0, 1], r"baseColorFactor must be 4 numbers in 0\.\.1"),
     ("materials/0/pbrMetallicRoughness/roughnessFactor", 1.5, r"roughnessFactor must lie in 0\.\.1, got 1.5"),
     ("extensionsRequired", ["KHR_draco_mesh_compression"], "requires the extension 'KHR_draco_mesh_compression'"),
-    ("cameraRig", {"a": 1}, "the file sets 'cameraRig'"),
+    ("cameraRig", {"a": 1}, "t.glb sets 'cameraRig'"),
     ("nodes/0/mesh", 7, "node 0|floor names number 7 of 1 meshes"),
     ("nodes/0/children", [0], "hold each other in a circle"),
     ("nodes/0/rotation", [0, 0, 0, 2], "rotation of node 0 must be a unit quaternion"),
     ("accessors/0/count", 1000, "1000 entries from byte 0 do not fit"),
     ("buffers/0/uri", "../secret.bin", "outside its folder"),
     ("buffers/0/uri", "https://example.org/a.bin", "nothing is fetched"),
-    ("asset/version", "1.0", "must be glTF 2.0"),
+    ("asset/version", "1.0", "must be glTF 2.0, got version '1.0'"),
+    ("nodes/0/scale", 3, r"nodes\[0\].scale must be 3 finite numbers, got 3"),
+    ("materials", {"a": 1}, "materials must be a list"),
+    ("buffers/0/uri", "gone.bin", "names 'gone.bin', which cannot be read"),
 ]
 
 
