@@ -125,7 +125,7 @@ def effects() -> str:
         if isinstance(row, OwnEffect):
             rows.append((name, f"[effects.{name}] {row.title}{_from(EFFECT_LIST, name)}"))
         else:
-            rows.append((name, ", ".join(row.fields) or "always"))
+            rows.append((name, f"set by {', '.join(row.fields)} of a camera" if row.fields else "of every exposure"))
     return table(rows)
 
 

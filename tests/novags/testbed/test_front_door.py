@@ -17,12 +17,14 @@ from novags.testbed.metrics import METRICS
 from novags.testbed.study.cells.levels import LEVELS
 from novags.testbed.study.cells.presets import EXPERIMENTS
 from sensor_model import PRESETS as SENSORS
+from sensor_model.effect_list import EFFECT_LIST
 from simscenes import SCENES
 
 QUIET = Console(quiet=True)
 NAMES = {
     "scenes": SCENES, "sensors": SENSORS, "methods": {**METHODS, **VARIANTS}, "levels": LEVELS,
     "presets": EXPERIMENTS, "cameras": SOURCES, "enhancers": ENHANCERS, "metrics": METRICS,
+    "effects": EFFECT_LIST,
 }  # fmt: skip
 
 
