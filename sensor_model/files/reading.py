@@ -11,6 +11,11 @@ WORDS: dict[type[Exception], str] = {
     OverflowError: "holds a number that is too large",
     UnicodeDecodeError: "is not UTF-8 text",
 }
+PLY_TYPES = {  # words of a PLY header for numbers, as numpy writes them without their byte order
+    "float": "f4", "float32": "f4", "double": "f8", "float64": "f8", "uchar": "u1", "uint8": "u1", "char": "i1",
+    "int8": "i1", "short": "i2", "int16": "i2", "ushort": "u2", "uint16": "u2", "int": "i4", "int32": "i4",
+    "uint": "u4", "uint32": "u4",
+}  # fmt: skip
 
 
 def brief(found: object, length: int = 300) -> str:

@@ -12,18 +12,13 @@ import torch
 
 from sensor_model.files.atomic import atomic
 from sensor_model.files.door import opened
-from sensor_model.files.reading import brief
+from sensor_model.files.reading import PLY_TYPES, brief
 
 from ..gaussians import Gaussians
 from ..raster.raster_torch import unit_largest
 from ..raster.validation import check_gaussians
 from ..sh import n_coefficients
 
-_DTYPES = {
-    "float": "<f4", "float32": "<f4", "double": "<f8", "float64": "<f8", "uchar": "u1", "uint8": "u1", "char": "i1",
-    "int8": "i1", "short": "<i2", "int16": "<i2", "ushort": "<u2", "uint16": "<u2", "int": "<i4", "int32": "<i4",
-    "uint": "<u4", "uint32": "<u4",
-}  # fmt: skip
 HEADER_LINES = 1000  # of them 3DGS needs about 70
 OPAQUE = 16.0  # logit of an opacity that is 1 but for 1e-7; an infinite one has no gradient
 LEAST = {"format": 3, "element": 3, "property": 3}  # words of a line
@@ -87,11 +82,11 @@ def _read_header(file: BinaryIO, path: Path) -> tuple[str, int, np.dtype, bool]:
             element = words[1]
             n = _count(words[2], path) if element == "vertex" else n
         elif words[:1] == ["property"] and element == "vertex":
-            if words[1] not in _DTYPES or words[-1] in fields:
+            if words[1] not in PLY_TYPES or words[-1] in fields:
                 raise ValueError(
                     f"{path}: vertex properties must be plain numbers, each once, got {brief(' '.join(words))}"
                 )
-            fields[words[-1]] = _DTYPES[words[1]]
+            fields[words[-1]] = f"<{PLY_TYPES[words[1]]}"
     raise ValueError(f"{path} must be a PLY file with an end_header line, but its header ends early")
 
 

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 
 from sensor_model.files.door import opened
+from sensor_model.files.reading import PLY_TYPES
 from simscenes.loading.contents import surfaces_in
 from simscenes.sets.pictures.whole import DEFLATE
 
-PLY_BYTES = {"char": 1, "uchar": 1, "int8": 1, "uint8": 1, "short": 2, "ushort": 2, "int16": 2, "uint16": 2, "int": 4,
-             "uint": 4, "int32": 4, "uint32": 4, "float": 4, "float32": 4, "double": 8, "float64": 8}  # fmt: skip
+PLY_BYTES = {word: np.dtype(kind).itemsize for word, kind in PLY_TYPES.items()}
 MAX_HEADER = 1 << 16  # bytes of a PLY or `serialized` file that are looked at
 
 

@@ -142,13 +142,11 @@ def _shape(
         columns["color"] = colors
     key = (primitive.get("material"), colors is not None)
     material = materials.get(key) or materials.setdefault(key, painted(document, key[0], key[1], mi))
-    if material.placed and "uv" not in columns:
-        raise ValueError(f"{document.path}: {name} has no texture coordinates, and its material a texture: unwrap it")
     if colors is not None and not material.coloured:
         raise ValueError(
             f"{document.path}: {name} has colours of vertices under a texture of its base colour: bake them"
         )
-    if material.bumpy and (share := _mirrored(columns["uv"], faces)) > 0:
+    if material.bumpy and "uv" in columns and (share := _mirrored(columns["uv"], faces)) > 0:
         warnings.warn(f"{document.path}: the normal map of {name} lies mirrored on {share:.0%} of its faces: bumps are "
                       "turned upside down there. Unwrap it without mirrored islands", stacklevel=3)  # fmt: skip
     write_ply(file, columns, faces)

@@ -30,14 +30,12 @@ class Painted:
     Attributes:
         bsdf: Description of the BSDF.
         emitter: Description of the area light; None: it does not shine.
-        placed: Whether it has a texture, and so needs texture coordinates.
         coloured: Whether colours of vertices may multiply its base colour: it is no texture.
         bumpy: Whether it has a normal map.
     """
 
     bsdf: Dict
     emitter: Dict | None
-    placed: bool
     coloured: bool
     bumpy: bool
 
@@ -71,7 +69,7 @@ def painted(document: GltfDocument, index: int | None, vertex_colors: bool, mi: 
     if (opacity := textures.opacity(found, alpha)) is not None:
         bsdf = {"type": "mask", "opacity": opacity, "bsdf": bsdf}
     emitter = textures.emission(found, (extensions.get("KHR_materials_emissive_strength") or {}))
-    return Painted(bsdf, emitter, textures.used, "baseColorTexture" not in pbr, bool(normal))
+    return Painted(bsdf, emitter, "baseColorTexture" not in pbr, bool(normal))
 
 
 @dataclass
@@ -81,7 +79,6 @@ class _Textures:
     document: GltfDocument
     where: str
     mi: Any
-    used: bool = False
 
     def base_color(
         self, pbr: Dict, vertex_colors: bool
@@ -161,7 +158,6 @@ class _Textures:
 
     def _texture(self, info: Dict) -> tuple[NDArray[np.uint8], Dict]:
         """Codes of a texture [h, w, 4], and how it is laid on the surface."""
-        self.used = True
         where = f"a texture of {self.where}"
         texture = self.document.one("textures", info.get("index"), where)
         transform = (info.get("extensions") or {}).get("KHR_texture_transform") or {}

@@ -14,15 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensor_model.files.door import opened
-from sensor_model.files.reading import some
+from sensor_model.files.reading import PLY_TYPES, some
 from sensor_model.files.records import read_record
 from simscenes.sets.geometry.tracks import SparsePoints
 
-TYPES = {
-    "float": "f4", "float32": "f4", "double": "f8", "float64": "f8", "uchar": "u1", "uint8": "u1", "char": "i1",
-    "int8": "i1", "short": "i2", "int16": "i2", "ushort": "u2", "uint16": "u2", "int": "i4", "int32": "i4",
-    "uint": "u4", "uint32": "u4",
-}  # fmt: skip
 ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 HEADER_LINES = 1000
 COLOURS = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
@@ -119,15 +114,15 @@ def _header(file: BinaryIO, path: Path) -> _Header:
                 before.append((number, types))
         elif words[:1] == ["property"] and len(words) >= 3:
             if element == "vertex":
-                columns.append((words[-1], "list" if words[1] == "list" else TYPES.get(words[1], words[1])))
+                columns.append((words[-1], "list" if words[1] == "list" else PLY_TYPES.get(words[1], words[1])))
             elif count < 0:
-                types.append("list" if words[1] == "list" else TYPES.get(words[1], words[1]))
+                types.append("list" if words[1] == "list" else PLY_TYPES.get(words[1], words[1]))
         elif words[:1] == ["end_header"]:
             break
         elif words and words[0] not in ("comment", "obj_info"):
             raise ValueError(f"{path}: the header of a PLY file has a line that is not understood: "
                              f"{' '.join(words)[:60]!r}; {REMEDY}")  # fmt: skip
-    odd = [kind for _, kind in columns if kind not in TYPES.values()]
+    odd = [kind for _, kind in columns if kind not in PLY_TYPES.values()]
     if form not in ORDERS or count < 0 or not columns or odd:
         got = some([f"{name} {kind}" for name, kind in columns], 8) or "no properties"
         raise ValueError(
@@ -140,7 +135,7 @@ def _header(file: BinaryIO, path: Path) -> _Header:
 def _binary(file: BinaryIO, header: _Header, path: Path) -> dict[str, NDArray[Any]]:
     order = ORDERS[header.form]
     for number, types in header.skipped:
-        if any(kind not in TYPES.values() for kind in types):
+        if any(kind not in PLY_TYPES.values() for kind in types):
             raise ValueError(f"{path}: points must come before elements of lists; {REMEDY}")
         file.seek(number * sum(np.dtype(kind).itemsize for kind in types), 1)
     row = np.dtype([(f"{i}", order + kind) for i, (_, kind) in enumerate(header.columns)])

@@ -61,9 +61,10 @@ def built(folder: Path, name: str, row: str, code: str) -> Path:
 
 @pytest.fixture
 def python(tmp_path: Path) -> Path:
-    """An environment that has novags and both packages from wheels; what novags needs is that of this one."""
+    """An environment that has novags and both packages from wheels; it borrows the dependencies of this one."""
+    # An environment of scripts/setup has both. Others, as of uv, may have neither, and there may be no network.
     if find_spec("pip") is None or find_spec("setuptools") is None:
-        pytest.skip("pip and setuptools build the wheels, without a network")
+        pytest.skip("pip or setuptools, which build the wheels, is not installed")
     copy_of_the_tree(tmp_path / "tree")
     theirs = built(tmp_path, "their-package", "theirs", re.sub(r"\nPLUGIN = .*\n$", "", template("method")))
     broken = built(tmp_path, "broken-package", "broken", 'raise ImportError("it needs what nobody has")\n')

@@ -338,7 +338,7 @@ def test_a_texture_without_coordinates_is_refused(tmp_path: Path) -> None:
         "emissiveTexture": {"index": writer.texture(PICTURE)},
         "emissiveFactor": [1, 1, 1],
     }
-    with pytest.raises(ValueError, match="floor has no texture coordinates, and its material a texture"):
+    with pytest.raises(ValueError, match="mesh .floor. has no texture coordinates, and its radiance is a texture"):
         build_scene(writer.write(tmp_path / "t.glb"), activate())
 
 
