@@ -21,26 +21,13 @@ from novags.testbed.console.terminal import Console, Update
 from novags.testbed.folders.capture import open_capture
 from novags.testbed.folders.runs import runs_in
 from novags.testbed.ledger.contents import read_json
+from novags.testbed.metrics import METRICS
 from novags.testbed.report.page import write_report
 from novags.testbed.stages.configs.reconstructing import ReconstructConfig
 from novags.testbed.study.cells.presets import Preset, adapted
 from novags.testbed.study.place import run, score_all, together
 from novags.testing import DarkCapture, assert_noise, assert_scores
 from simscenes import load_set, read_exr
-
-SCORES = {
-    *(
-        "psnr",
-        "aligned_psnr",
-        "tone_aligned_psnr",
-        "ssim",
-        "aligned_ssim",
-        "tone_aligned_ssim",
-        "flip",
-        "delta_e",
-        "lpips",
-    )
-}
 
 
 class Interrupting(Console):
@@ -137,7 +124,7 @@ def test_metrics_have_the_documented_shape(experiment: Path, tiny: Preset) -> No
         assert method["views"].keys() == {"0000", "0008"}
         for scores in (method["mean"], *method["views"].values()):
             assert scores.keys() == {"enhanced", "lit"}
-            assert scores["enhanced"].keys() == scores["lit"].keys() == SCORES
+            assert scores["enhanced"].keys() == scores["lit"].keys() == set(METRICS)
         assert {"render", "capture", "reconstruct"} <= method["seconds"].keys()
         assert method["peak_bytes"] > 0
     rows = {row["method"]: row for row in read_json(experiment / "results.json")["rows"]}
