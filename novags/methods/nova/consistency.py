@@ -194,6 +194,10 @@ class ConsistencyLoss:
         """For the record: of how many views the loss can be evaluated."""
         return {"views_with_partner": sum(map(bool, self.candidates)), "of": len(self.candidates)}
 
+    def trained_along(self) -> list[Tensor]:
+        """Parameters of the confidence network."""
+        return list(self.network.parameters())
+
     def due(self, iteration: int) -> bool:
         """Whether this iteration evaluates the loss, and so needs depth."""
         return iteration >= self.first and iteration % self.config.every == 0

@@ -18,14 +18,15 @@ from novags.methods.nova.checkpoint import file_as_tensor, tensor_as_file
 from novags.methods.nova.config import NovaConfig, parts
 from novags.methods.nova.consistency import ConsistencyLoss
 from novags.methods.nova.denoiser import Denoiser
-from novags.methods.nova.sh_penalty import noise_map, sh_penalty
+from novags.methods.nova.sh_penalty import noise_map, penalty_weights
 from novags.methods.problem import Problem
 from novags.methods.reconstruction import Progress, Reconstruction
 from novags.methods.start import start_gaussians
 from novags.splats.files.tensors import digest, read, write_tensors
 from novags.splats.gaussians import Gaussians
-from novags.splats.training.fit import Step, fit
+from novags.splats.training.fit import fit
 from novags.splats.training.guard import NotFinite
+from novags.splats.training.step import HarmonicsPenalty, Step
 from sensor_model.files.reading import reading
 
 SAVE_INTERVAL = 60.0  # s between two checkpoints of the warm-up: its steps take from milliseconds to many seconds
@@ -180,17 +181,14 @@ class _Training:
             for name, part in networks.items() if part is not None
         }  # fmt: skip
 
-    def noise_penalty(self, step: Step) -> Tensor | None:
-        """Weighted L_SH of this iteration."""
-        if self.config.sh_weight is None:
-            return None
+    def noise_weights(self, step: Step) -> Tensor:
+        """The weights of this iteration's L_SH."""
         clean = self.clean(step.view)
         known = self.noise.get(step.view)
         if known is None or known[0] is not clean:
             known = self.noise[step.view] = (clean, noise_map(self.enhanced[step.view], clean))
-        noise = known[1]
-        means2d, radii = step.info["means2d"][0].detach(), step.info["radii"][0].amax(-1)
-        return self.config.sh_weight * sh_penalty(step.gaussians.sh, means2d, radii, noise)
+        assert self.config.sh_weight is not None
+        return self.config.sh_weight * penalty_weights(step.info["means2d"][0].detach(), step.visible, known[1])
 
     def save(self) -> None:
         """Write everything that the next iteration depends on, the fit's checkpoint included."""
@@ -307,10 +305,11 @@ def train(
         if progress is not None:
             progress(warmup + done, warmup + total, entry | training.norms())
 
+    penalty = None if config.sh_weight is None else HarmonicsPenalty(training.noise_weights)
     try:
         result = fit(
             start, problem.views, training.clean.target, config.fit,
-            extra_losses=[loss for loss in (training.geo, training.noise_penalty) if loss is not None],
+            extra_losses=[loss for loss in (training.geo, penalty) if loss is not None],
             before_step=training.before_step, needs_depth=training.geo.due if training.geo else False,
             checkpoint=checkpoint, progress=progress and report,
         )  # fmt: skip

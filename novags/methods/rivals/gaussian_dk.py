@@ -70,6 +70,10 @@ class ResponseLoss:
     def __init__(self, response: Response, dssim_weight: float) -> None:
         self.response, self.dssim_weight = response, dssim_weight
 
+    def trained_along(self) -> list[Tensor]:
+        """Parameters of the response."""
+        return list(self.response.parameters())
+
     def __call__(self, step: Step, target: Tensor) -> Tensor:
         """The loss of a Step whose render is radiance and whose target is a dark picture."""
         shown = self.response(logarithm(step.render))

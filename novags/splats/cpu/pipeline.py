@@ -280,6 +280,22 @@ def composite_backward(frame: RasterFrame, v_image: np.ndarray, v_alpha: np.ndar
     return v_rows, slots
 
 
+def camera_sums(n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Room for the partial sums that N Gaussians give to the gradient of the camera and of its centre."""
+    blocks = -(-n // project_backward.BLOCK)
+    return np.empty((blocks, project_backward.V_VIEW), np.float32), np.zeros((blocks, 3), np.float32)
+
+
+def viewmat_gradient(camera: RasterCamera, v_view: np.ndarray, v_center: np.ndarray) -> np.ndarray:
+    """Gradient of the viewmat [4, 4] from these sums."""
+    v_viewmat = np.zeros((4, 4), np.float32)
+    v_viewmat[:3] = v_view.sum(0, dtype=np.float64).reshape(3, 4)
+    total = v_center.sum(0, dtype=np.float64)  # centre = -R^T t
+    v_viewmat[:3, 3] -= camera.viewmat[:3, :3] @ total
+    v_viewmat[:3, :3] -= np.outer(camera.viewmat[:3, 3], total)
+    return v_viewmat
+
+
 def backward(
     frame: RasterFrame, shape: Shape, colors: np.ndarray, v_image: np.ndarray, v_alpha: np.ndarray, with_camera: bool
 ) -> Gradients:
@@ -290,17 +306,11 @@ def backward(
     v_rows, slots = composite_backward(frame, v_image, v_alpha)
     v_shape = Shape(means=empty((n, 3)), quats=empty((n, 4)), scales=empty((n, 3)), opacities=empty(n))
     v_features = empty((n, frame.n_features))
-    partial = -(-n // project_backward.BLOCK) if with_camera else 0
-    v_view, v_center = np.empty((partial, project_backward.V_VIEW), np.float32), np.zeros((partial, 3), np.float32)
+    v_view, v_center = camera_sums(n if with_camera else 0)
     v_colors = empty(colors.shape) if has_harmonics else (v_features if frame.n_features else np.zeros_like(colors))
     run_chain(
         gradient_chains.project_and_color_backward, n, shape.arrays, _rows(colors) if has_harmonics else v_features,
         frame.vector, frame.center, frame.degree, len(frame.passes), frame.depth_channel, v_rows.reshape(-1), slots,
         v_shape.arrays, v_features, _rows(v_colors) if has_harmonics else v_features, v_view, v_center,
     )  # fmt: skip
-    v_viewmat = np.zeros((4, 4), np.float32)
-    v_viewmat[:3] = v_view.sum(0, dtype=np.float64).reshape(3, 4)
-    total = v_center.sum(0, dtype=np.float64)  # centre = -R^T t
-    v_viewmat[:3, 3] -= camera.viewmat[:3, :3] @ total
-    v_viewmat[:3, :3] -= np.outer(camera.viewmat[:3, 3], total)
-    return Gradients(shape=v_shape, colors=v_colors, viewmat=v_viewmat)
+    return Gradients(shape=v_shape, colors=v_colors, viewmat=viewmat_gradient(camera, v_view, v_center))

@@ -128,6 +128,7 @@ def describe(views: list[Projected], watch: Watch, *, width: int, height: int, p
     info = Info({
         "camera_ids": camera_ids, "gaussian_ids": all_ids,
         "means2d": means2d, "depths": lambda: joined([view.depths for view in views]),
+        "visible": lambda: joined([view.radius > 0 for view in views]),  # not of gsplat: spares the radii
         "radii": lambda: joined(list(footprints()[0])), "conics": lambda: joined(list(footprints()[1])),
         "opacities": lambda: joined(list(footprints()[2])),
         "width": lambda: width, "height": lambda: height, "n_batches": lambda: 1, "n_cameras": lambda: len(views),

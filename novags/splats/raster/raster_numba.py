@@ -56,14 +56,20 @@ def render(
     image, alpha, means2d, radius, depths, rows = _Render.apply(
         means, quats, scales, opacities, colors, viewmat, K, settings
     )
+    return image, alpha, projected(means2d, radius, depths, rows)
+
+
+def projected(means2d: Tensor, radius: Tensor, depths: Tensor, rows: Tensor) -> Projected:
+    """The Gaussians in a camera from the records of the kernels [N, ROW]."""
+    unit = float(record.HALF_LOG2E)
 
     def footprint() -> tuple[Tensor, Tensor, Tensor]:
         radii = torch.where(radius[:, None] > 0, rows[:, (record.REACH_X, record.REACH_Y)].ceil().clamp(1, 2**30), 0.0)
-        a, k, q = rows[:, record.A] / record.HALF_LOG2E, rows[:, record.K], rows[:, record.Q] / record.HALF_LOG2E
+        a, k, q = rows[:, record.A] / unit, rows[:, record.K], rows[:, record.Q] / unit
         conics = torch.stack([a, a * k, a * k * k + q], -1)
         return radii.to(torch.int32), conics, torch.where(radius > 0, torch.exp2(rows[:, record.TOP]), 0.0)
 
-    return image, alpha, Projected(means2d=means2d, radius=radius, depths=depths, footprint=footprint)
+    return Projected(means2d=means2d, radius=radius, depths=depths, footprint=footprint)
 
 
 def _array(tensor: Tensor) -> np.ndarray:

@@ -14,7 +14,6 @@ import torch
 from torch import Tensor
 
 from novags.splats.files.tensors import digest
-from novags.splats.training.config import LearningRates
 
 from ..gaussians import Gaussians
 from ..views import Views
@@ -24,8 +23,8 @@ from .config import FitConfig
 from .direct import DirectFit
 from .guard import NotFinite, norms
 from .iteration import backpropagate, check_parameters, current, default_photometric, where
-from .losses import compare
-from .step import PixelLoss, Step
+from .pictures import Terms
+from .step import Step
 from .updates.adam import Adam
 from .updates.camera_refinement import CameraState, move_cameras
 from .updates.mcmc import FARTHEST, add_noise, grow, prune_to_cap, relocate
@@ -79,8 +78,9 @@ def fit(
         target: Image [H, W, 3] that view i should show; asked every iteration, so it may change.
         config: How to train.
         photometric: Scalar loss of the Step and its target, which may then be of any shape; None is
-            (1 - w) L1 + w (1 - SSIM) with `config.dssim_weight`. A `PixelLoss` spares the CPU autograd.
-        extra_losses: Called with the Step after rendering; each returns a scalar to add, or None.
+            (1 - w) L1 + w (1 - SSIM) with `config.dssim_weight`.
+        extra_losses: Called with the Step after rendering; each returns a scalar to add, or None. Where all losses are
+            a `PixelLoss`, `PictureLoss` or `HarmonicsPenalty`, the CPU is spared autograd for the Gaussians.
         companion: Parts that the losses use and train beside the Gaussians; changed in place.
         before_step: Called with the iteration number before it starts.
         needs_depth: Render expected depth too; a function is asked in every iteration, by its number.
@@ -112,7 +112,7 @@ def fit(
     earlier = state.seconds
     cap = config.cap_max if config.cap_max is not None else len(gaussians)
     loss = photometric or partial(default_photometric, config.dssim_weight)
-    direct = None if extra_losses else _direct(state, views, config, photometric)
+    direct = _direct(state, views, config, extent, Terms.of(photometric, extra_losses, config.dssim_weight))
     save = None if checkpoint is None else partial(_save, checkpoint, settings, started)
     for iteration in range(state.iteration, config.iterations):
         means_rate = config.rates.means_at(iteration, config.iterations, extent)
@@ -122,19 +122,22 @@ def fit(
             if before_step is not None:
                 _prepare(before_step, iteration)
             losses, aim = None, target
+            with_depth = needs_depth(iteration) if callable(needs_depth) else needs_depth
             if direct is not None:
-                losses, aim = _step_directly(direct, state, iteration, target(view), config, rates, means_rate)
+                image = target(view)
+                aim = partial(_same, image)
+                if direct.takes(state.gaussians, image, rates):
+                    losses = direct.step(state, iteration, image, rates, means_rate, with_depth)
             if losses is None:
                 losses = backpropagate(
-                    state, views, iteration, config, extent,
-                    with_depth=needs_depth(iteration) if callable(needs_depth) else needs_depth,
+                    state, views, iteration, config, extent, with_depth=with_depth,
                     photometric=partial(_compare, loss, aim), extra_losses=extra_losses,
                 )  # fmt: skip
                 # extra losses may reach harmonics that are not rendered yet
                 degree = 3 if extra_losses else config.degree_at(iteration)
                 state.adam.step(state.gaussians, rates, means_rate, degree)
-                if companion is not None:
-                    companion.step(iteration, config.iterations)
+            if companion is not None:
+                companion.step(iteration, config.iterations)
             _move(state, iteration, config, cap, means_rate, extent)
             state.iteration = done = iteration + 1
             saving = done % config.checkpoint_every == 0 or done == config.iterations
@@ -160,6 +163,11 @@ def fit(
 
 def _compare(loss: Callable[[Step, Tensor], Tensor], aim: Callable[[int], Tensor], step: Step) -> Tensor:
     return loss(step, aim(step.view))
+
+
+def _same(image: Tensor, view: int) -> Tensor:
+    """The target that was asked for already: it may not be the same the next time."""
+    return image
 
 
 def _prepare(before_step: Callable[[int], None], iteration: int) -> None:
@@ -239,35 +247,12 @@ def _generator(seed: int, iteration: int, what: int) -> torch.Generator:
 
 
 def _direct(
-    state: TrainingState, views: Views, config: FitConfig, photometric: Callable[[Step, Tensor], Tensor] | None
+    state: TrainingState, views: Views, config: FitConfig, extent: float, terms: Terms | None
 ) -> DirectFit | None:
-    """How to do without autograd, where that is possible."""
-    if state.cameras is not None or config.backend not in ("auto", "numba") or state.gaussians.means.is_cuda:
+    """How to do without autograd for the Gaussians, where that is possible."""
+    if terms is None or config.backend not in ("auto", "numba") or state.gaussians.means.is_cuda:
         return None
-    if photometric is not None and not isinstance(photometric, PixelLoss):
-        return None
-    plain = partial(compare, dssim_weight=config.dssim_weight)
-    return DirectFit(views, config, plain if photometric is None else photometric.compare)
-
-
-def _step_directly(
-    direct: DirectFit,
-    state: TrainingState,
-    iteration: int,
-    image: Tensor,
-    config: FitConfig,
-    rates: LearningRates,
-    means_rate: float,
-) -> tuple[tuple[float, float] | None, Callable[[int], Tensor]]:
-    """Losses, or None if nothing was done; and the target that was asked for, to be asked again."""
-    losses = None
-    if direct.takes(state.gaussians, image, rates):
-        view = config.view_at(iteration, len(direct.cameras))
-        degree = config.degree_at(iteration)
-        losses = direct.step(
-            state.gaussians, state.adam, view, image, rates, means_rate, degree, config.opacity_reg_at(iteration)
-        )
-    return losses, lambda _: image
+    return DirectFit(views, config, extent, terms)
 
 
 def _move(state: TrainingState, iteration: int, config: FitConfig, cap: int, means_rate: float, extent: float) -> None:

@@ -1,6 +1,6 @@
-"""One iteration of a fit as its losses see it."""
+"""One iteration of a fit as its losses see it, and the kinds of losses that the CPU has a direct way for."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
@@ -25,6 +25,44 @@ class PixelLoss(Protocol):
     def compare(self, image: np.ndarray, target: np.ndarray) -> tuple[np.float32, np.ndarray]:
         """The loss of float32 arrays [H, W, 3], and its gradient for the image."""
         ...
+
+
+@runtime_checkable
+class PictureLoss(Protocol):
+    """A loss of the pictures of a Step: its `render`, `alpha`, `depth` and `views`; all else is constant to it.
+
+    Other views, and the places of the Gaussians, it may read. The CPU then needs autograd for its own computation
+    alone, and none for the Gaussians.
+    """
+
+    def trained_along(self) -> Iterable[Tensor]:
+        """Parameters that its gradient is wanted for too: of networks that are part of it."""
+        ...
+
+    def __call__(self, step: "Step", *target: Tensor) -> Tensor | None:
+        """The loss, a scalar; None where it is not due."""
+        ...
+
+
+@dataclass(frozen=True)
+class HarmonicsPenalty:
+    """A loss: the sum of w_i |c_ik|^2 over the harmonics k > 0 of all Gaussians i; the CPU has a kernel for it.
+
+    Attributes:
+        weights: Gives w [N] >= 0 for a Step, without gradient; None where the loss is not due.
+    """
+
+    weights: "Callable[[Step], Tensor | None]"
+
+    def __call__(self, step: "Step") -> Tensor | None:
+        """The loss by autograd, on any device."""
+        weights = self.weights(step)
+        return None if weights is None else harmonics_penalty(step.gaussians.sh, weights)
+
+
+def harmonics_penalty(sh: Tensor, weights: Tensor) -> Tensor:
+    """The sum of w_i |c_ik|^2 over the harmonics k > 0 of all Gaussians i: a scalar of sh [N, K, 3], weights [N]."""
+    return (weights * sh[:, 1:].square().sum((1, 2))).sum()
 
 
 @dataclass(kw_only=True)
@@ -58,6 +96,12 @@ class Step:
     splat: Callable[[Tensor], Tensor]
     rasterize_view: Callable[[int], tuple[Tensor, Tensor, Tensor, Info]]
     expected_depth: Tensor | None
+
+    @property
+    def visible(self) -> Tensor:
+        """Which Gaussians this view shows, [N] bool."""
+        cheap = self.info.get("visible")
+        return (self.info["radii"][0] > 0).all(-1) if cheap is None else cheap[0]
 
     @property
     def depth(self) -> Tensor:

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from novags.methods.nova import sh_penalty as penalties
 from novags.splats.training import losses
+from novags.splats.training.step import harmonics_penalty
 from tests.stability.case import EPS, LARGEST, Case, Error, Fails, Part, Setting, relative_error, worse, worst_error
 
 PART = Part("losses")
@@ -115,7 +116,8 @@ def _penalty_error(sh: Array, places: Array, radii: Array, noise: Array) -> floa
     exact = [a.astype(np.float32).astype(np.float64) for a in (sh, places, radii, noise)]
     x, *others = (torch.tensor(a, dtype=torch.float32) for a in exact)
     x.requires_grad_()
-    found = penalties.sh_penalty(x, *others)
+    places, radii, noise = others
+    found = harmonics_penalty(x, penalties.penalty_weights(places, radii > 0, noise))
     if found.requires_grad:
         found.backward()
     slopes = torch.zeros_like(x) if x.grad is None else x.grad
@@ -186,16 +188,15 @@ def test_windows_that_mirror_the_border_are_noticed(fails: Fails, monkeypatch: p
 
 
 def test_a_mean_over_nobody_is_noticed(fails: Fails, monkeypatch: pytest.MonkeyPatch) -> None:
-    def penalty(sh: Tensor, means2d: Tensor, radii: Tensor, noise: Tensor) -> Tensor:
-        seen = radii > 0
-        return (penalties.noise_weights(noise, means2d)[seen] * sh[seen, 1:].square().sum((1, 2))).mean()
+    def weights(means2d: Tensor, visible: Tensor, noise: Tensor) -> Tensor:
+        return torch.where(visible, penalties.noise_weights(noise, means2d), 0.0) / visible.sum()
 
-    monkeypatch.setattr(penalties, "sh_penalty", penalty)
+    monkeypatch.setattr(penalties, "penalty_weights", weights)
     assert fails("harmonics: nobody visible, degree 0, a picture of one pixel")
     assert fails("harmonics of 1e-15 to 1e15, noise of 0 to 1, at borders and corners")
 
 
 def test_noise_read_half_a_pixel_away_is_noticed(fails: Fails, monkeypatch: pytest.MonkeyPatch) -> None:
-    plain = penalties.noise_weights
-    monkeypatch.setattr(penalties, "noise_weights", lambda noise, means: plain(noise, torch.sub(means, 0.5)))
+    plain = penalties.penalty_weights
+    monkeypatch.setattr(penalties, "penalty_weights", lambda means, *others: plain(torch.sub(means, 0.5), *others))
     assert fails("harmonics of 1e-15 to 1e15, noise of 0 to 1, at borders and corners")

@@ -1,9 +1,15 @@
 import pytest
 import torch
 
-from novags.methods.nova.sh_penalty import noise_map, noise_weights, sh_penalty
+from novags.methods.nova.sh_penalty import noise_map, noise_weights, penalty_weights
+from novags.splats.training.step import harmonics_penalty
 
 NOISE = torch.arange(12.0).reshape(3, 4)
+
+
+def sh_penalty(sh: torch.Tensor, means2d: torch.Tensor, radii: torch.Tensor, noise: torch.Tensor) -> torch.Tensor:
+    """L_SH; radii are 0 where a Gaussian is not visible."""
+    return harmonics_penalty(sh, penalty_weights(means2d, radii > 0, noise))
 
 
 def test_noise_map_is_the_mean_absolute_difference_over_colours():

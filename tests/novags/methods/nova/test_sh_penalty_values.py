@@ -4,9 +4,15 @@ import numpy as np
 import pytest
 import torch
 
-from novags.methods.nova.sh_penalty import noise_map, noise_weights, sh_penalty
+from novags.methods.nova.sh_penalty import noise_map, noise_weights, penalty_weights
+from novags.splats.training.step import harmonics_penalty
 
 HEIGHT, WIDTH = 5, 8
+
+
+def sh_penalty(sh: torch.Tensor, means2d: torch.Tensor, radii: torch.Tensor, noise: torch.Tensor) -> torch.Tensor:
+    """L_SH; radii are 0 where a Gaussian is not visible."""
+    return harmonics_penalty(sh, penalty_weights(means2d, radii > 0, noise))
 
 
 def noise() -> torch.Tensor:
@@ -72,3 +78,16 @@ def test_the_penalty_grows_with_the_noise_under_a_gaussian():
     # 9 coefficients of 2² each
     assert float(sh_penalty(*arguments, quiet)) == pytest.approx(0.1 * 36)
     assert float(sh_penalty(*arguments, loud)) == pytest.approx(0.3 * 36)
+
+
+def test_the_kernel_gives_the_weights_of_torch():
+    """Gaussians that are not visible may be anywhere, or nowhere."""
+    g = torch.Generator().manual_seed(4)
+    centres = torch.rand(500, 2, generator=g) * torch.tensor([WIDTH + 4.0, HEIGHT + 4.0]) - 2
+    centres[:4] = torch.tensor([[0.0, 0.0], [WIDTH, HEIGHT], [torch.nan, 1.0], [torch.inf, 1.0]])
+    visible = torch.rand(500, generator=g) < 0.7
+    visible[:4] = torch.tensor([True, True, False, False])
+    kernel = penalty_weights(centres, visible, noise().float())
+    plain = penalty_weights(centres.double(), visible, noise())
+    assert 0.2 < float((plain > 0).float().mean()) < 0.6
+    torch.testing.assert_close(kernel.double(), plain, rtol=2e-5, atol=1e-9)

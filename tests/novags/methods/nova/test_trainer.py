@@ -112,10 +112,10 @@ def test_each_loss_changes_the_result(problem):
 
 def test_depth_is_rendered_only_where_the_geometric_loss_is_due(problem, monkeypatch):
     seen = []
-    original = _Training.noise_penalty
+    original = _Training.noise_weights
     monkeypatch.setattr(
         _Training,
-        "noise_penalty",
+        "noise_weights",
         lambda self, step: seen.append(step.expected_depth is not None) or original(self, step),
     )
     train(problem(), changed(consistency=dataclasses.replace(CONFIG.consistency, every=4)))

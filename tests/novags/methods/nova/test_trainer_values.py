@@ -16,12 +16,13 @@ from novags.methods.nova.config import ConsistencyConfig, NovaConfig
 from novags.methods.nova.consistency import ConsistencyLoss
 from novags.methods.nova.denoiser import Denoiser
 from novags.methods.nova.denoiser_config import DenoiserConfig, ResUNetConfig
-from novags.methods.nova.sh_penalty import sh_penalty
+from novags.methods.nova.sh_penalty import penalty_weights
 from novags.methods.nova.trainer import _PseudoClean, run_identity, train
 from novags.methods.problem import Problem
 from novags.splats import FitConfig, Views
 from novags.splats.training.config import CameraRefinement
 from novags.splats.training.fit import FitResult
+from novags.splats.training.step import harmonics_penalty
 
 HEIGHT, WIDTH, COUNT, WARM_UP, ITERATIONS = 8, 10, 3, 2, 6
 DENOISER = DenoiserConfig(
@@ -139,29 +140,32 @@ def test_the_noise_penalty_weighs_each_view_by_its_own_residual(stage):
     g = torch.Generator().manual_seed(3)
     sh = torch.rand(20, 4, 3, generator=g)
     means2d = torch.rand(20, 2, generator=g) * torch.tensor([float(WIDTH), float(HEIGHT)])
-    info = {"means2d": means2d[None], "radii": torch.ones(1, 20, 2)}
+    info, seen = {"means2d": means2d[None]}, torch.ones(20, dtype=torch.bool)
 
     def ask() -> None:
         penalty = stage.seen["extra_losses"][1]
         for view in (0, 1, 2, 1):
-            found.append(float(penalty(SimpleNamespace(view=view, gaussians=SimpleNamespace(sh=sh), info=info))))
+            found.append(
+                float(penalty(SimpleNamespace(view=view, gaussians=SimpleNamespace(sh=sh), info=info, visible=seen)))
+            )
 
     stage.during = ask
     train(inputs, CONFIG)
     images = bright(inputs)
     noise = (images - clean(images, WARM_UP + 3)).abs().mean(-1)
-    expected = [0.7 * float(sh_penalty(sh, means2d, torch.ones(20), noise[view])) for view in (0, 1, 2, 1)]
+    weights = [penalty_weights(means2d, seen, noise[view]) for view in (0, 1, 2, 1)]
+    expected = [0.7 * float(harmonics_penalty(sh, w)) for w in weights]
     assert len(set(expected)) == 3
     assert found == pytest.approx(expected, rel=1e-5)
 
 
 def test_the_noise_map_follows_the_denoiser(stage):
     inputs, weights = problem(), []
-    sh, info = torch.ones(1, 4, 3), {"means2d": torch.tensor([[[0.5, 0.5]]]), "radii": torch.ones(1, 1, 2)}
+    sh, info, seen = torch.ones(1, 4, 3), {"means2d": torch.tensor([[[0.5, 0.5]]])}, torch.tensor([True])
 
     def ask() -> None:
         for _ in range(2):
-            step = SimpleNamespace(view=1, gaussians=SimpleNamespace(sh=sh), info=info)
+            step = SimpleNamespace(view=1, gaussians=SimpleNamespace(sh=sh), info=info, visible=seen)
             weights.append(float(stage.seen["extra_losses"][1](step)) / (0.7 * 9))
             stage.denoisers[0].step += 5
 
@@ -201,8 +205,7 @@ def test_without_a_denoiser_the_fit_aims_at_the_enhanced_images(stage):
     assert torch.equal(torch.stack(targets), bright(inputs))
     assert torch.equal(result.targets, result.enhanced)
     assert "denoiser" not in stage.log
-    step = SimpleNamespace(view=0, gaussians=None, info=None)
-    assert stage.seen["extra_losses"][1](step) is None
+    assert [type(loss) for loss in stage.seen["extra_losses"]] == [ConsistencyLoss]
 
 
 def test_the_seed_and_extent_of_the_problem_reach_the_fit_and_the_record(stage):
