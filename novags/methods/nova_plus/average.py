@@ -8,7 +8,6 @@ to them, in which the noise of a single pixel hardly shows:
 
 # mypy: allow-untyped-defs
 
-import math
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -17,10 +16,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from novags.splats.cpu.compiler import kernel
+from novags.splats.cpu.compiler import inline, kernel
+from novags.splats.cpu.vectors.simd import LANES, bits, load, select, splat, store
+from novags.splats.cpu.vectors.vector_math import exp
 
 REACH = 7  # px, half the window that is searched
-LEAST = 1e-4  # weights below it are dropped: they hardly change an average, but cost time
+MARGIN = LANES  # columns of zeros beside every row, for its neighbours and for the last pixels of a vector
+ZERO, ONE = np.float32(0.0), np.float32(1.0)
+LEAST = np.float32(1e-4)  # weights below it are dropped: they hardly change an average, but cost time
 
 
 @dataclass(frozen=True)
@@ -55,16 +58,38 @@ def averages(guide: Tensor, data: Tensor, *, h: float, patch: int, own: bool = T
     if not h > 0:
         raise ValueError(f"h must be > 0, got {h}")
 
-    guides, values = guide.cpu().numpy(), data.cpu().numpy()
+    height, width = data.shape[1:3]
+    stride = _stride(width)
+    guides, known = (_planes(t.cpu().numpy()) for t in (guide, ~data.isnan()))
+    values = _planes(data.nan_to_num(0.0).cpu().numpy())
 
-    def one(view: int) -> list[np.ndarray]:
-        found = [np.zeros(values.shape[1:], np.float32) for _ in range(3)]
-        accumulate(guides[view], values[view], patch, REACH, 1 / h**2, own, *found)
-        return found
+    def one(view: int) -> np.ndarray:
+        # of itself a datum is w = 1 away
+        sums = (
+            np.stack([values[view], known[view], known[view]]) if own else np.zeros((3, values[view].size), np.float32)
+        )
+        accumulate(
+            guides[view], values[view], known[view], height, width, stride, patch, REACH, np.float32(1 / h**2), *sums
+        )
+        inner = sums.reshape(3, 3, height, stride)[..., MARGIN : MARGIN + width]
+        return np.ascontiguousarray(inner.transpose(0, 2, 3, 1))
 
     with ThreadPoolExecutor(min(torch.get_num_threads(), os.cpu_count() or 1)) as pool:
         found = list(pool.map(one, range(len(data))))
     return Sums(*(torch.from_numpy(np.stack(parts)).to(data.device) for parts in zip(*found, strict=True)))
+
+
+def _planes(pictures: np.ndarray) -> np.ndarray:
+    """[C, H, W, 3] as rows with zeros before and behind them, channel by channel, flat: [C, 3 * H * stride] float32."""
+    count, height, width, _ = pictures.shape
+    planes = np.zeros((count, 3, height, _stride(width)), np.float32)
+    planes[..., MARGIN : MARGIN + width] = pictures.transpose(0, 3, 1, 2)
+    return planes.reshape(count, -1)
+
+
+def _stride(width: int) -> int:
+    """Floats from one row of a plane to the next."""
+    return 2 * MARGIN + -(-width // LANES) * LANES
 
 
 def non_local_means(image: Tensor, h: float) -> Tensor:
@@ -73,43 +98,63 @@ def non_local_means(image: Tensor, h: float) -> Tensor:
 
 
 @kernel
-def accumulate(guide, data, patch, reach, scale, own, total, weight, squares):
-    """Add w * data, w and w**2 over the window of one picture to the sums; all [H, W, 3]."""
-    height, width = guide.shape[:2]
-    distance = np.empty((height, width), np.float32)
-    if own:
-        for y in range(height):
-            for x in range(width):
-                _add(data, y, x, y, x, np.float32(1), total, weight, squares)
-    for dy in range(reach + 1):
-        for dx in range(-reach, reach + 1):
+def accumulate(guide, data, known, height, width, stride, patch, reach, scale, total, weight, squares):
+    """Add w * data, w and w**2 over the window of one picture to the sums.
+
+    Pictures and sums are flat planes as `_planes` makes them; known is 1 where data are, else both are 0. The reach is
+    at most MARGIN. Every offset is worked on sixteen pixels at a time, and counts for both ends.
+    """
+    size = height * stride
+    inside, share = np.zeros(stride, np.float32), np.zeros(stride, np.float32)
+    distance, across = np.zeros(size, np.float32), np.zeros(size, np.float32)
+    for dy in range(min(reach, height - 1) + 1):
+        for dx in range(-min(reach, width - 1), min(reach, width - 1) + 1):
             if dy == 0 and dx <= 0:
                 continue  # done with the opposite offset
-            rows, left, right = height - dy, max(0, -dx), min(width, width - dx)
+            rows, left, right, shift = height - dy, max(0, -dx), min(width, width - dx), dy * stride + dx
+            for x in range(width):
+                inside[MARGIN + x], share[MARGIN + x] = ZERO, ZERO
+                if left <= x < right:
+                    columns = min(right, x + patch + 1) - max(left, x - patch)
+                    inside[MARGIN + x], share[MARGIN + x] = ONE, scale / np.float32(3 * columns)
             for y in range(rows):
-                for x in range(left, right):
-                    d = np.float32(0)
+                _distances(guide, inside, y * stride, size, shift, width, patch, distance, across)
+            for y in range(rows):
+                first, last = max(0, y - patch), min(rows, y + patch + 1)
+                for i in range(MARGIN, MARGIN + width, LANES):
+                    d = splat(ZERO)
+                    for row in range(first, last):
+                        d += load(across, row * stride + i)
+                    w = exp(-(d * load(share, i)) / np.float32(last - first)) * load(inside, i)
+                    w = select(w > LEAST, w, ZERO)
+                    if bits(w > ZERO) == 0:
+                        continue
                     for c in range(3):
-                        d += (guide[y, x, c] - guide[y + dy, x + dx, c]) ** 2
-                    distance[y, x] = d
-            for y in range(rows):
-                for x in range(left, right):
-                    d, n = np.float32(0), 0
-                    for v in range(max(0, y - patch), min(rows, y + patch + 1)):
-                        for u in range(max(left, x - patch), min(right, x + patch + 1)):
-                            d += distance[v, u]
-                            n += 3
-                    w = np.float32(math.exp(-scale * d / n))
-                    if w > LEAST:
-                        _add(data, y, x, y + dy, x + dx, w, total, weight, squares)
-                        _add(data, y + dy, x + dx, y, x, w, total, weight, squares)
+                        here = c * size + y * stride + i
+                        _add(data, known, here, here + shift, w, total, weight, squares)
+                        _add(data, known, here + shift, here, w, total, weight, squares)
 
 
-@kernel
-def _add(data, y, x, from_y, from_x, w, total, weight, squares):
-    for c in range(3):
-        datum = data[from_y, from_x, c]
-        if not math.isnan(datum):
-            total[y, x, c] += w * datum
-            weight[y, x, c] += w
-            squares[y, x, c] += w * w
+@inline
+def _distances(guide, inside, row, size, shift, width, patch, distance, across):
+    """Squared differences of a row to its shifted one, summed over channels; and their sums along the patch."""
+    for i in range(MARGIN, MARGIN + width, LANES):
+        d = splat(ZERO)
+        for c in range(3):
+            at = c * size + row + i
+            difference = load(guide, at) - load(guide, at + shift)
+            d += difference * difference
+        store(distance, row + i, d * load(inside, i))
+    for i in range(MARGIN, MARGIN + width, LANES):
+        d = splat(ZERO)
+        for u in range(-patch, patch + 1):
+            d += load(distance, row + i + u)
+        store(across, row + i, d)
+
+
+@inline
+def _add(data, known, source, to, w, total, weight, squares):
+    there = load(known, source)
+    store(total, to, load(total, to) + w * load(data, source))
+    store(weight, to, load(weight, to) + w * there)
+    store(squares, to, load(squares, to) + w * w * there)
