@@ -94,8 +94,6 @@ def run(
         dry_run: Only say which stages would be done, or done again and why. Nothing is written. With a budget whose
             settings are not chosen yet: the trial to do, and the settings to choose from.
     """
-    from novags.testbed.report.page import write_report
-    from novags.testbed.study import place
     from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
 
     check_numbers(workers, cluster)
@@ -111,6 +109,9 @@ def run(
         variants=variants_of(variant), cameras=cameras_of(cameras), refine_cameras=refine_cameras, device=device,
         parameters=define or None,
     )  # fmt: skip
+    from novags.testbed.report.page import write_report
+    from novags.testbed.study import place
+
     whole = Path("out") / _default_name(preset, scene if photos is None else str(photos), level, electrons)
     if budget is None:
         if curves is not None:

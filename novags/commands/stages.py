@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Literal
 
 from novags.commands import shared
-from novags.commands.shared import cameras_of, next_, say, typed, variants_of, writing
+from novags.commands.shared import cameras_of, next_, say, there, typed, variants_of, writing
 from novags.options import LIGHT, Device, Folder, Light, Name, PresetName
 
 
@@ -167,6 +167,7 @@ def capture(
         electrons=named.electrons if electrons is None else electrons, time=time, max_size=max_size, demosaic=demosaic,
         jpeg_quality=jpeg_quality, tolerance=tolerance, export=export, seed=seed,
     )  # fmt: skip
+    there(set)
     with writing(out, wait, dry_run=dry_run) as console:
         with dry(dry_run):
             stages.capture(set, out, config, console, overwrite=overwrite)
@@ -212,7 +213,6 @@ def reconstruct(
     from novags.testbed import stages
     from novags.testbed.ledger.dry import dry_run as dry
     from novags.testbed.ledger.dry import planned
-    from novags.testbed.stages.viewers import check_viewers, viewer_files, write_viewers
     from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
 
     own = variants_of(() if variant is None else (variant,))
@@ -222,6 +222,9 @@ def reconstruct(
         points=points, iterations=iterations, denoiser_steps=denoiser_steps, pictures=pictures, device=device,
     )  # fmt: skip
     config = replace(chosen.reconstruct(name), seed=seed)
+    there(capture)
+    from novags.testbed.stages.viewers import check_viewers, viewer_files, write_viewers
+
     with writing(out, wait, dry_run=dry_run) as console:
         with dry(dry_run) as kept:
             stages.reconstruct(capture, out, config, console, overwrite=overwrite)

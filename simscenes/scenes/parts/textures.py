@@ -12,7 +12,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from sensor_model.isp import srgb_to_linear
 from simscenes.scenes.parts.remembered import remembered
@@ -107,6 +106,8 @@ def bricks(shape: tuple[int, int], rng: Rng, *, rows: int = 12, columns: int = 6
 @remembered
 def cells(shape: tuple[int, int], rng: Rng, *, count: int = 60, colors: Sequence[str], joint: float = 0.1) -> Texels:
     """Voronoi cells (cobbles, terrazzo, leather), tileable, rounded towards their dark joints."""
+    from scipy.spatial import cKDTree  # a third of a second that a list of scenes need not wait for
+
     y, x = _grid(shape)
     points, shades = rng.uniform(0, 1, (count, 2)), rng.uniform(0, 1, count)
     nearest, owner = cKDTree(points, boxsize=1.0).query(np.stack([y, x], -1), k=2)

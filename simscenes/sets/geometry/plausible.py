@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull, QhullError
 
 from simscenes.sets.geometry.correspondence import seen_in
 from simscenes.sets.geometry.tracks import SparsePoints, in_frame
@@ -42,6 +41,8 @@ def with_tested_tracks(views: MultiviewSet, points: SparsePoints) -> SparsePoint
 
 def not_hidden(xyz: NDArray[np.float64], eye: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Which points [P,3] of a surface can be seen from `eye` [3]: the points on the hull of their spherical flip."""
+    from scipy.spatial import ConvexHull, QhullError  # a list of presets imports this module, and computes nothing
+
     rays = xyz - eye
     distance = np.linalg.norm(rays, axis=1, keepdims=True)
     # A point in the eye itself has no direction; any will do, for it is in no picture.
