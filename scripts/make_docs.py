@@ -165,9 +165,9 @@ def scene_pictures() -> bool:
             environment = {**os.environ, "PYTHONPATH": str(ROOT)}
             return subprocess.run(line, cwd=ROOT, env=environment, stdout=subprocess.DEVNULL).returncode == 0
 
-        done = made_by("make_gallery.py", "--missing")
+        done = made_by("pictures/make_gallery.py", "--missing")
         if done and sorted((DOCS / "gallery").iterdir()) != before:
-            done = made_by("make_scene_thumbnails.py")
+            done = made_by("pictures/make_scene_thumbnails.py")
     return done
 
 

@@ -12,8 +12,11 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from novags.process import settle
+from sensor_model.files.own import cache_folder
 from simscenes.backend import backend_status
 
+# Tests that give a command a home of its own would compile every kernel in it.
+os.environ.setdefault("NUMBA_CACHE_DIR", str(cache_folder("kernels").parent))
 settle()  # before torch is loaded: what tests compute in this process has the bits that commands and workers compute
 pytest_plugins = ["novags.testing", "pytester"]
 

@@ -34,6 +34,7 @@ LAYERS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("fields",),
         ("cameras",),
         ("methods",),
+        ("warm",),
         ("testbed",),
         ("testing",),
         ("options", "failure"),

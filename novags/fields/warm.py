@@ -1,6 +1,4 @@
-"""Compile the kernels of the field ahead of their first use: `python -m novags.fields.warm`; scripts/setup runs it."""
-
-import time
+"""Every kernel of the fields, called once: `novags.warm` compiles them ahead of their first use."""
 
 import torch
 
@@ -24,14 +22,3 @@ def warm() -> None:
 
 def _loss(batch: Batch) -> torch.Tensor:
     return batch.rendered(torch.sigmoid(batch.raw[..., 1:4])).square().mean()
-
-
-def main() -> None:
-    """Compile, and say how long it took."""
-    started = time.perf_counter()
-    warm()
-    print(f"kernels of the field engine: {time.perf_counter() - started:.0f} s")
-
-
-if __name__ == "__main__":
-    main()

@@ -1,9 +1,4 @@
-"""Compile the CPU kernels ahead of their first use: `python -m novags.splats.warm`, which scripts/setup runs.
-
-They are kept on disk (see `cpu.compiler`); where they are there already, this takes as long as importing torch.
-"""
-
-import time
+"""Every kernel that fits and renders Gaussians, called once: `novags.warm` compiles them ahead."""
 
 import torch
 
@@ -32,14 +27,3 @@ def warm() -> None:
     features = torch.rand(40, 6, generator=g).requires_grad_()  # plain channels, more than one pass of them
     renders, _, _ = rasterize(*shape, features, views.viewmats, views.Ks, 16, 16)
     photometric_loss(renders[0], torch.zeros(16, 16, 6), 0.2).backward()
-
-
-def main() -> None:
-    """Compile, and say how long it took."""
-    started = time.perf_counter()
-    warm()
-    print(f"kernels of the splat engine: {time.perf_counter() - started:.0f} s")
-
-
-if __name__ == "__main__":
-    main()

@@ -15,11 +15,10 @@ import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
-from zlib import crc32
 
 import numpy as np
-from numba import config, njit
 
+from sensor_model.fast.machine_code import compiled, folder_for
 from sensor_model.frame import streams
 
 CHUNK = 512  # pixels at a time; even, because one Philox block serves two neighbours
@@ -55,21 +54,20 @@ _FAR_B = (2.04426310338993978564e-15, 1.42151175831644588870e-7, 1.8463183175100
           5.99832206555887937690e-1, 1.0)  # fmt: skip
 
 _HERE = Path(__file__).parent
-_SOURCES = [*sorted(_HERE.glob("*.py")), _HERE.parent / "frame" / "streams.py"]
+
+
+def cache_folder() -> Path | None:
+    """Where the machine code of these kernels is kept, see `folder_for`."""
+    return folder_for([*sorted(_HERE.glob("*.py")), _HERE.parent / "frame" / "streams.py"])
+
+
+CACHE = cache_folder()
 
 
 def jit(function: Callable, **options: Any) -> Callable:
     """Compile to machine code, once for all processes."""
-    # numba's cache sees a change of a function's own file, not of the files it inlines from. So each state of our
-    # sources gets a directory of its own.
-    state = crc32(b"".join(path.read_bytes() for path in _SOURCES))
-    before = config.CACHE_DIR
-    config.CACHE_DIR = str(Path(before or Path(__file__).parent / "__pycache__") / f"sensor_model-{state:08x}")
-    try:
-        # error model "python" would test every division, and so block SIMD
-        return njit(function, cache=True, nogil=True, error_model="numpy", **options)
-    finally:
-        config.CACHE_DIR = before
+    # error model "python" would test every division, and so block SIMD
+    return compiled(function, CACHE, nogil=True, error_model="numpy", **options)
 
 
 def inline(function: Callable) -> Callable:

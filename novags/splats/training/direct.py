@@ -27,7 +27,7 @@ from ..views import Views
 from .checkpoint import TrainingState
 from .config import FitConfig
 from .iteration import current
-from .pictures import OutOfRange, Rendering, Terms, observe, slopes_of
+from .pictures import LossTerms, OutOfRange, Rendering, observe, slopes_of
 
 FAR = 1e10  # the default of `rasterize`
 STEPS = 10  # iterations after which the coefficients are checked again
@@ -36,7 +36,7 @@ STEPS = 10  # iterations after which the coefficients are checked again
 class DirectFit:
     """The cameras of a fit, checked once, and the memory that its iterations share."""
 
-    def __init__(self, views: Views, config: FitConfig, extent: float, terms: Terms) -> None:
+    def __init__(self, views: Views, config: FitConfig, extent: float, terms: LossTerms) -> None:
         """Check the cameras.
 
         Args:

@@ -23,7 +23,7 @@ from .config import FitConfig
 from .direct import DirectFit
 from .guard import NotFinite, norms
 from .iteration import backpropagate, check_parameters, current, default_photometric, where
-from .pictures import Terms
+from .pictures import LossTerms
 from .step import Step
 from .updates.adam import Adam
 from .updates.camera_refinement import CameraState, move_cameras
@@ -112,7 +112,7 @@ def fit(
     earlier = state.seconds
     cap = config.cap_max if config.cap_max is not None else len(gaussians)
     loss = photometric or partial(default_photometric, config.dssim_weight)
-    direct = _direct(state, views, config, extent, Terms.of(photometric, extra_losses, config.dssim_weight))
+    direct = _direct(state, views, config, extent, LossTerms.of(photometric, extra_losses, config.dssim_weight))
     save = None if checkpoint is None else partial(_save, checkpoint, settings, started)
     for iteration in range(state.iteration, config.iterations):
         means_rate = config.rates.means_at(iteration, config.iterations, extent)
@@ -247,7 +247,7 @@ def _generator(seed: int, iteration: int, what: int) -> torch.Generator:
 
 
 def _direct(
-    state: TrainingState, views: Views, config: FitConfig, extent: float, terms: Terms | None
+    state: TrainingState, views: Views, config: FitConfig, extent: float, terms: LossTerms | None
 ) -> DirectFit | None:
     """How to do without autograd for the Gaussians, where that is possible."""
     if terms is None or config.backend not in ("auto", "numba") or state.gaussians.means.is_cuda:

@@ -27,7 +27,7 @@ class OutOfRange(ArithmeticError):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Terms:
+class LossTerms:
     """The loss of a fit, by how its gradient is made.
 
     Attributes:
@@ -42,7 +42,7 @@ class Terms:
     penalties: tuple[HarmonicsPenalty, ...]
 
     @staticmethod
-    def of(photometric: object | None, extra_losses: Sequence[object], dssim_weight: float) -> "Terms | None":
+    def of(photometric: object | None, extra_losses: Sequence[object], dssim_weight: float) -> "LossTerms | None":
         """The terms of the losses of `fit`; None if one of them may depend on the Gaussians in another way."""
         by_pixel: Compare | None = None
         if photometric is None:
@@ -53,7 +53,7 @@ class Terms:
         networks = tuple(loss for loss in losses if isinstance(loss, PictureLoss))
         penalties = tuple(loss for loss in losses if isinstance(loss, HarmonicsPenalty))
         known = len(networks) + len(penalties) == len(losses)
-        return Terms(compare=by_pixel, networks=networks, penalties=penalties) if known else None
+        return LossTerms(compare=by_pixel, networks=networks, penalties=penalties) if known else None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,7 +134,7 @@ class Slopes:
 
 
 def slopes_of(
-    terms: Terms, image: np.ndarray, alpha: np.ndarray, views: Views, target: Tensor,
+    terms: LossTerms, image: np.ndarray, alpha: np.ndarray, views: Views, target: Tensor,
     observed: Callable[[Tensor, Tensor, Views], Step],
 ) -> Slopes:  # fmt: skip
     """Evaluate the terms.
@@ -170,7 +170,7 @@ def slopes_of(
     return slopes
 
 
-def _add_networks(slopes: Slopes, terms: Terms, step: Step, target: Tensor, leaves: list[Tensor]) -> None:
+def _add_networks(slopes: Slopes, terms: LossTerms, step: Step, target: Tensor, leaves: list[Tensor]) -> None:
     """Add losses by autograd and the weights of penalties."""
     weights = [w for penalty in terms.penalties if (w := penalty.weights(step)) is not None]
     if weights:

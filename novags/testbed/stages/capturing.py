@@ -18,6 +18,7 @@ from novags.testbed.ledger.stage import run_stage
 from novags.testbed.stages.configs.capturing import CaptureConfig
 from novags.testbed.stages.layouts import LAYOUTS, check_source_of, truth_of, write_layouts
 from novags.testbed.stages.paths import keep_apart
+from novags.warm import compile_ahead
 from sensor_model.capture import RawFrame, clean_response, expose
 from sensor_model.files.dng import SMALLEST
 from sensor_model.files.lock import locked
@@ -147,6 +148,7 @@ def capture_views(
     """
     sensor, exposure, plan = camera_for(source, config), config.exposure, light.plan
     names = source.views.names
+    compile_ahead("camera", console.note)
     with console.progress("capture") as progress:
         for i, name in enumerate(names):
             if not has_view(folder, name):

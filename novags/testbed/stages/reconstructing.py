@@ -30,6 +30,7 @@ from novags.testbed.ledger.stage import run_stage
 from novags.testbed.stages.camera_source import CoordinateFrame, cameras_of, true_cameras, viewer_cameras, views_of
 from novags.testbed.stages.configs.reconstructing import ReconstructConfig, files_of
 from novags.testbed.stages.paths import keep_apart
+from novags.warm import compile_ahead, kernels_of
 from sensor_model.files.lock import locked
 from simscenes.sets.pictures.exr import write_exr
 from simscenes.sets.pictures.png import write_png
@@ -185,6 +186,8 @@ def reconstruct_views(
     if parts is not None and parts.get("fit") == 0:
         console.note(f"reconstruct {variant.name}: 0 iterations of the fit: the first Gaussians (of NeRF: the first "
                      "field) untrained")  # fmt: skip
+    if prepared.device.type == "cpu" and (kernels := kernels_of(config.config)) is not None:
+        compile_ahead(kernels, console.note)
     with (
         warnings_as_notes(console),
         console.progress(f"reconstruct {variant.name}", parts) as progress,

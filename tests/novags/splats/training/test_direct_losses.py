@@ -17,7 +17,7 @@ from novags.splats.training.companion import Companion
 from novags.splats.training.config import CameraRefinement
 from novags.splats.training.direct import DirectFit
 from novags.splats.training.iteration import backpropagate, default_photometric
-from novags.splats.training.pictures import Terms
+from novags.splats.training.pictures import LossTerms
 from novags.splats.training.step import HarmonicsPenalty, PictureLoss, Step
 from novags.splats.training.updates.adam import Adam
 from novags.splats.training.updates.camera_refinement import CameraState
@@ -115,7 +115,7 @@ def test_gradients_are_those_of_autograd(problem, name, moving):
     for direct in (True, False):
         state, losses = state_of(start, views, moving), LOSSES[name](views, images)
         if direct:
-            terms = Terms.of(None, losses, config.dssim_weight)
+            terms = LossTerms.of(None, losses, config.dssim_weight)
             road = DirectFit(views, config, 2.0, terms)
             assert road.takes(state.gaussians, images[1], config.rates)
             values.append(road.step(state, 25, images[1], config.rates, 1e-4, True))

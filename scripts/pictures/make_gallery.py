@@ -1,6 +1,6 @@
 """Every scene of the catalogue in good light and at four light levels: docs/gallery/NAME.jpg, and the list in the page.
 
-    python scripts/make_gallery.py [--spp 256] [--work DIR] [--missing]
+    python scripts/pictures/make_gallery.py [--spp 256] [--work DIR] [--missing]
 
 One view of each scene, exposed by a real camera and brightened to the same exposure at every level. With --work the
 renders are kept there (renders of make_scene_thumbnails.py serve both). With --missing only scenes that have no picture
@@ -28,7 +28,7 @@ LEVELS = (500.0, 50.0, 5.0, 0.5)  # e- per pixel, mean of green over the view
 SENSOR = "a7s2-iso6400"
 WIDTH, GAP = 160, 4  # px
 MIDDLE = 0.18  # linear; where the median of green is shown
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "gallery.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "gallery.md"
 
 
 def strip(radiance: NDArray[np.float32]) -> NDArray[np.uint8]:

@@ -1,7 +1,9 @@
 """Render one small view of every catalogue scene into a captioned contact sheet, docs/scenes.png.
 
-    python scripts/make_scene_thumbnails.py [--out docs/scenes.png] [--size 160] [--spp 256] [--columns 4] [--work DIR]
-    python scripts/make_scene_thumbnails.py --scenes street market --views    (every view of the rig, to choose from)
+    python scripts/pictures/make_scene_thumbnails.py [--out docs/scenes.png] [--size 160] [--spp 256] [--columns 4]
+        [--work DIR]
+    python scripts/pictures/make_scene_thumbnails.py --scenes street market --views
+        every view of the rig, to choose from
 
 For looking at only: each picture has its own exposure and tone curve, and isolated bright values are taken out. With
 --work the renders are kept there, and a second run only tones and arranges them.
