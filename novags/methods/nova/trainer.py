@@ -50,6 +50,15 @@ class _PseudoClean:
             self.cached[view] = (self.denoiser.step, image)
         return image
 
+    def all_now(self) -> Tensor:
+        """[C, H, W, 3] by the denoiser in its present state."""
+        if self.denoiser is None:
+            return self.enhanced
+        known = {view: image for view, (step, image) in self.cached.items() if step == self.denoiser.step}
+        with torch.no_grad():
+            images = [known[i] if i in known else self.denoiser.denoise(i) for i in range(len(self.enhanced))]
+        return torch.stack(images)
+
     def target(self, view: int) -> Tensor:
         """[H, W, 3], with gradient into the denoiser if it takes part in L_recon."""
         if self.denoiser is None or self.config.detach_target:
@@ -323,7 +332,7 @@ def train(
         config=config,
         enhancement=enhancement_record(config.enhance, config.pictures),
         enhanced=images,
-        targets=images if training.denoiser is None else training.denoiser.denoise_all(),
+        targets=training.clean.all_now(),
         viewmats=None if config.fit.refine_cameras is None else result.viewmats,
         losses=result.losses,
         seconds={"enhance": enhancing, "denoise": training.seconds, "fit": result.seconds},

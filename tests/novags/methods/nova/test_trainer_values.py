@@ -347,3 +347,18 @@ def test_blinding_channels_that_share_their_noise_is_refused():
 def test_settings_without_effect_are_refused(wrong, match):
     with pytest.raises(ValueError, match=match):
         changed(**wrong)
+
+
+def test_the_targets_of_a_run_are_of_the_last_denoiser_and_no_view_is_denoised_twice():
+    pseudo, denoiser = held(refresh_after=100)
+    asked = []
+    denoise = denoiser.denoise
+    denoiser.denoise = lambda view: asked.append(view) or denoise(view)
+    pseudo(0)
+    denoiser.step += 1
+    pseudo(1)
+    asked.clear()
+    found = pseudo.all_now()
+    assert asked == [view for view in range(len(found)) if view != 1]
+    for view, image in enumerate(found):
+        assert torch.equal(image, denoise(view))
