@@ -19,21 +19,17 @@ import pytest
 ROOT = Path(__file__).resolve().parents[4]
 sys.path.insert(0, str(ROOT))  # where pytest is started by itself and not as a module
 
-from novags.testbed import stages  # noqa: E402
 from novags.testbed.console.terminal import Console  # noqa: E402
 from novags.testbed.folders.capture import Capture, open_capture  # noqa: E402
 from novags.testbed.folders.exposures import exposures_of  # noqa: E402
-from novags.testbed.report.blocks.signal import _chart, by_filter, histogram  # noqa: E402
 from novags.testbed.report.look.album import Album, files_of  # noqa: E402
 from novags.testbed.report.look.maps import colour_map, normal_map, normals_of_depth  # noqa: E402
 from novags.testbed.report.look.probe import probe_of  # noqa: E402
 from novags.testbed.report.page import write_report  # noqa: E402
 from novags.testbed.report.tables import columns, per_view, ranked, ranks, scores_of  # noqa: E402
 from novags.testbed.report.verdict import table_of  # noqa: E402
-from novags.testbed.stages.configs.capturing import CaptureConfig  # noqa: E402
 from sensor_model import srgb_to_linear  # noqa: E402
 from simscenes.sets.pictures.exr import read_exr  # noqa: E402
-from tests.fuzz.readers.records import make_set  # noqa: E402
 
 QUIET = Console(quiet=True)
 
@@ -126,6 +122,14 @@ def test_the_shares_of_the_costs_are_of_the_whole_time_and_the_longest_stage_has
     assert shares == pytest.approx([value / sum(seconds) for value in seconds])
     bars = [float(width) for row in rows for width in re.findall(r"width:([\d.]+)%", row)]
     assert bars == pytest.approx([100 * value / max(seconds) for value in seconds], abs=0.051)
+
+
+def test_a_score_that_a_later_view_has_alone_is_told_of_all_views() -> None:
+    views = {"0": {"lit": {"psnr": None}}, "1": {"lit": {"psnr": 20.0}}, "2": {"lit": {"psnr": 30.0}}}
+    found = per_view({"methods": {"naive": {"mean": {"lit": {"psnr": 25.0}}, "views": views}}}, "lit")
+    assert found is not None
+    assert found["scores"]["psnr"]["values"] == [[None], [20.0], [30.0]]
+    assert found["scores"]["psnr"]["spread"]["mean"] == [25.0]
 
 
 def test_the_spread_over_views_is_that_of_the_views() -> None:
@@ -265,19 +269,6 @@ def test_beside_a_page_lies_what_it_shows_and_nothing_of_earlier_pages(tmp_path:
     assert not folder.exists()
 
 
-@pytest.fixture(scope="module")
-def captures(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Capture]:
-    """Of a set through colour filters of its own: three chips, and a Bayer mosaic."""
-    folder = tmp_path_factory.mktemp("captures")
-    (folder / "set").mkdir()
-    make_set(folder / "set")
-    found = {}
-    for name, sensor in (("chips", "a7s2-iso6400-3chip"), ("mosaic", "a7s2-iso6400")):
-        stages.capture(folder / "set", folder / name, CaptureConfig(sensor=sensor, electrons=60.0), QUIET)
-        found[name] = open_capture(folder / name)
-    return found
-
-
 def planes(header: dict[str, Any], data: bytes) -> dict[str, np.ndarray]:
     """Each plane [channels,h,w] by its name, as the page describes them."""
     raw, start, found = np.frombuffer(zlib.decompress(data), np.uint8), 0, {}
@@ -327,52 +318,6 @@ def test_signals_beyond_half_precision_keep_their_scale(captures: dict[str, Capt
     assert capture.sensor is not None
     assert mean[0, 1, 1] == pytest.approx((5e6 - 512) / capture.sensor.gain, rel=1e-3)
     assert mean[0, 0, 0] == pytest.approx((2e5 - 512) / capture.sensor.gain, rel=1e-3)
-
-
-@pytest.mark.parametrize("name", ["chips", "mosaic"])
-def test_the_histogram_counts_the_electrons_of_each_filter(captures: dict[str, Capture], name: str) -> None:
-    capture = captures[name]
-    assert capture.sensor is not None
-    found = histogram(capture, [0, 2])
-    assert found is not None
-    green = []
-    for view in ("0000", "0002"):
-        truth, _ = read_exr(capture.path / "truth" / f"{view}.exr")
-        if name == "chips":
-            green.append(truth["clean.G"].ravel())
-        else:  # RGGB
-            green += [truth["clean"][0::2, 1::2].ravel(), truth["clean"][1::2, 0::2].ravel()]
-    electrons = (np.concatenate(green) - capture.sensor.black_level) / capture.sensor.gain
-    lines = {line["name"]: line["points"] for line in plot(found["chart"])["lines"]}
-    assert list(lines) == ["red", "green", "blue"]
-    shares = np.array([float(point[3].rstrip("%")) / 100 for point in lines["green"]])
-    assert shares.sum() == pytest.approx(1, abs=0.01)
-    most = max(float(point[3].rstrip("%")) for line in lines.values() for point in line)
-    beside = [float(text) for text in re.findall(r'text-anchor="end">([^<]*)<', found["chart"])]
-    assert 0.5 * most < max(beside) <= most + 0.01  # numbers of the axis, in percent
-    assert min(point[1] for line in lines.values() for point in line) == plot(found["chart"])["top"]
-    centres = np.array([float(point[2]) for point in lines["green"]])
-    assert (shares * centres).sum() == pytest.approx(electrons.mean(), rel=0.05)
-
-
-def test_pixels_of_a_mosaic_count_for_the_colour_of_their_filter() -> None:
-    found = by_filter(np.array([[1.0, 2.0], [3.0, 4.0]]), "GRBG")
-    assert [[v for v in channel if v == v] for channel in found.T.tolist()] == [[2.0], [1.0, 4.0], [3.0]]
-
-
-def plot(chart: str) -> Any:
-    import html
-
-    found = re.search(r'data-plot="([^"]*)"', chart)
-    assert found is not None
-    return json.loads(html.unescape(found[1]))
-
-
-@pytest.mark.parametrize(("logarithmic", "middle"), [(True, "10"), (False, "50.5")])
-def test_a_bin_of_a_chart_is_named_by_its_middle_on_the_axis(logarithmic: bool, middle: str) -> None:
-    chart = _chart({"red": np.array([1.0])}, np.array([1.0, 100.0]), "electrons", logarithmic=logarithmic)
-    ((_, _, named, _),) = plot(chart)["lines"][0]["points"]
-    assert named == middle
 
 
 def test_light_is_shown_at_the_exposures_of_the_dark_and_of_the_well_lit_pictures(captures: dict[str, Capture]) -> None:

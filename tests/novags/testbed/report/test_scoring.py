@@ -9,7 +9,6 @@ import pytest
 
 from novags.methods.problem import encode
 from novags.testbed.folders.exposures import Exposures
-from novags.testbed.report.blocks.training import fits, smoothed
 from novags.testbed.report.look.maps import ERROR_CEILING, colour_map, depth_map, error_map
 from novags.testbed.report.tables import columns, ranked, scores_of
 from novags.testbed.report.words import duration, join, number, signed, size
@@ -134,20 +133,6 @@ def test_depth_is_scored_in_the_scale_of_the_true_cameras(monkeypatch: pytest.Mo
     nothing: Any = None
     found = scoring.score_test_views(run, capture, nothing, None, lambda *given: None)["geometry"]
     assert (found["abs_rel"], found["within_5_percent"]) == (0.0, 1.0)
-
-
-def test_fits_of_one_run_stand_one_after_the_other() -> None:
-    counted = [(10, 5.0), (20, 4.0), (10, 3.0), (10, 2.0), (40, 1.0)]
-    assert fits(counted) == [[(10, 5.0), (20, 4.0)], [(30, 3.0)], [(40, 2.0), (70, 1.0)]]
-    assert fits([]) == []
-
-
-def test_smoothing_keeps_the_mean_and_the_end() -> None:
-    points = [(float(k), float(k % 7)) for k in range(1, 1001)]
-    few = smoothed(points, count=100)
-    assert len(few) == 100
-    assert few[-1][0] == 1000
-    assert np.mean([y for _, y in few]) == pytest.approx(np.mean([y for _, y in points]))
 
 
 @pytest.mark.parametrize("name", ["magma", "viridis"])
