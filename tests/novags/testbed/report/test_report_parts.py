@@ -2,11 +2,9 @@
 
 import base64
 import json
-import math
 import re
 import shutil
 import sys
-import zlib
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -22,9 +20,6 @@ sys.path.insert(0, str(ROOT))  # where pytest is started by itself and not as a 
 from novags.testbed.console.terminal import Console  # noqa: E402
 from novags.testbed.folders.capture import Capture, open_capture  # noqa: E402
 from novags.testbed.folders.exposures import exposures_of  # noqa: E402
-from novags.testbed.report.look.album import Album, files_of  # noqa: E402
-from novags.testbed.report.look.maps import colour_map, normal_map, normals_of_depth  # noqa: E402
-from novags.testbed.report.look.probe import probe_of  # noqa: E402
 from novags.testbed.report.page import write_report  # noqa: E402
 from novags.testbed.report.tables import columns, per_view, ranked, ranks, scores_of  # noqa: E402
 from novags.testbed.report.verdict import table_of  # noqa: E402
@@ -148,28 +143,6 @@ def test_the_spread_over_views_is_that_of_the_views() -> None:
     assert per_view({"methods": {"a": {"mean": {"enhanced": None}, "views": {}}}}, "enhanced") is None
 
 
-def test_normals_of_a_tilted_plane_are_its_own_and_face_the_camera() -> None:
-    normal = np.array([0.3, -0.5, -0.8])
-    normal /= np.linalg.norm(normal)
-    K = np.array([[40.0, 0, 15.2], [0, 44.0, 11.1], [0, 0, 1]])
-    rows, columns = np.indices((24, 32))
-    rays = np.stack([(columns + 0.5 - 15.2) / 40, (rows + 0.5 - 11.1) / 44, np.ones((24, 32))], -1)
-    z = (normal @ [0, 0, 5.0]) / (rays @ normal)  # n . (z ray) = n . p
-    found = normals_of_depth(z, K)
-    assert found.reshape(-1, 3) == pytest.approx(np.broadcast_to(normal, (24 * 32, 3)), abs=1e-2)
-    assert found[1:-1, 1:-1].reshape(-1, 3) == pytest.approx(np.broadcast_to(normal, (22 * 30, 3)), abs=2e-3)
-
-
-def test_no_depth_makes_no_normal_and_a_wall_ahead_is_blue() -> None:
-    K = np.array([[20.0, 0, 8], [0, 20.0, 8], [0, 0, 1]])
-    assert not np.isnan(normals_of_depth(np.zeros((16, 16)), K)).any()
-    seen = np.ones((16, 16), bool)
-    seen[0, 0] = False
-    picture = normal_map(normals_of_depth(np.full((16, 16), 2.0), K), seen)
-    assert picture[5, 5] == pytest.approx([0.5, 0.5, 1.0])
-    assert picture[0, 0] == pytest.approx([0.5, 0.5, 0.5])
-
-
 def decoded(uri: str) -> np.ndarray:
 
     codes = cv2.imdecode(np.frombuffer(base64.b64decode(uri.partition(",")[2]), np.uint8), cv2.IMREAD_COLOR)
@@ -186,138 +159,6 @@ def test_true_normals_are_those_of_the_set_in_the_axes_of_the_camera(experiment:
     right, down, forward = open_capture(experiment / "capture").cameras.rig.viewmats[0][:3, :3]
     expected = 0.5 + 0.5 * np.stack([world @ right, -(world @ down), -(world @ forward)], -1)
     assert np.abs(decoded(uri[1]) - 255 * expected.clip(0, 1)).max() <= 0.51
-
-
-@pytest.mark.parametrize("kind", ["noise", "map"])
-def test_small_pictures_keep_every_code_and_maps_are_small(tmp_path: Path, kind: str) -> None:
-    rng = np.random.default_rng(0)
-    values = rng.random((60, 50))
-    image = rng.random((60, 50, 3)) if kind == "noise" else colour_map(values, "magma")
-    album = Album(tmp_path / "page.html")
-    picture = album.add(image.astype(np.float32))
-    album.settle()
-    assert (decoded(picture.src) == np.round(255 * image.astype(np.float32)).astype(np.uint8)).all()
-    assert picture.exact
-    assert picture.full is None
-    if kind == "map":
-        plain = cv2.imencode(".png", np.round(255 * image[..., ::-1]).astype(np.uint8))[1]
-        assert picture.data is not None
-        assert len(picture.data) < 0.6 * len(plain)
-
-
-def test_a_name_with_quotes_hands_its_data_over(tmp_path: Path) -> None:
-    album = Album(tmp_path / "page.html", inside=0)
-    script = album.add_data('probe-a "b" \\ c', b"data")
-    album.settle()
-    assert script.file is not None
-    call = (tmp_path / script.file).read_text()
-    name, text = json.loads(f"[{call[call.index('(') + 1 : call.rindex(')')]}]")
-    assert (name, text) == (script.name, base64.b64encode(b"data").decode())
-    assert script.text == ""
-
-
-def test_large_pictures_are_jpeg_at_their_own_size(tmp_path: Path) -> None:
-    album = Album(tmp_path / "page.html")
-    picture = album.add(np.random.default_rng(0).random((300, 700, 3)).astype(np.float32))
-    album.settle()
-    assert picture.src.startswith("data:image/jpeg")
-    assert decoded(picture.src).shape == (300, 700, 3)
-    assert not picture.exact
-
-
-def test_what_does_not_fit_into_a_page_leaves_the_memory_as_it_comes(tmp_path: Path) -> None:
-    album = Album(tmp_path / "page.html", inside=40_000)
-    encoded = [bytes([i]) * 9_000 for i in range(10)]
-    pictures = []
-    for i, data in enumerate(encoded):
-        pictures.append(album.add_encoded(data, "png"))
-        album.add_data(f"probe-{i}", data[::-1])
-        kept = sum(picture.data is not None for picture in pictures)
-        assert kept == (i + 1 if i < 3 else 0)  # three take 36,000 bytes as text
-        assert sum(script.text != "" for script in album._scripts) == kept
-    assert [(tmp_path / str(picture.full)).read_bytes() for picture in pictures] == encoded
-    files = {str(script.file) for script in album._scripts}
-    assert len(files) == 10
-    for i, script in enumerate(album._scripts):
-        assert base64.b64encode(encoded[i]).decode() in (tmp_path / str(script.file)).read_text()
-
-
-def test_beside_a_page_lies_what_it_shows_and_nothing_of_earlier_pages(tmp_path: Path) -> None:
-    def make(*seeds: int, inside: int) -> list[Any]:
-        album = Album(tmp_path / "page.html", inside)
-        found = [album.add(np.random.default_rng(seed).random((200, 250, 3)).astype(np.float32)) for seed in seeds]
-        found.append(album.add_data("probe-x", b"numbers"))  # type: ignore[arg-type]
-        album.settle()
-        return found
-
-    folder = files_of(tmp_path / "page.html")
-    *pictures, data = make(0, 1, inside=10_000)
-    assert {path.name for path in folder.iterdir()} == {Path(item.full or "").name for item in pictures} | {
-        Path(data.file).name
-    }
-    for seed, item in enumerate(pictures):
-        alone = Album(tmp_path / "alone.html")
-        same = alone.add(np.random.default_rng(seed).random((200, 250, 3)).astype(np.float32))
-        assert (folder.parent / str(item.full)).read_bytes() == same.data
-    assert max(decoded(pictures[0].src).shape) == 144
-    (folder / "mine.png").write_bytes(b"x")
-    (kept, _) = make(1, inside=10)
-    assert {path.name for path in folder.iterdir()} >= {"mine.png", Path(kept.full or "").name}
-    assert len(list(folder.iterdir())) == 3
-    (folder / "mine.png").unlink()
-    make(1, inside=10_000_000)
-    assert not folder.exists()
-
-
-def planes(header: dict[str, Any], data: bytes) -> dict[str, np.ndarray]:
-    """Each plane [channels,h,w] by its name, as the page describes them."""
-    raw, start, found = np.frombuffer(zlib.decompress(data), np.uint8), 0, {}
-    for plane in header["planes"]:
-        shape = (plane["channels"], header["height"], header["width"])
-        count = math.prod(shape)
-        low, high = raw[start : start + count], raw[start + count : start + 2 * count]
-        codes = low.astype(np.uint16) + 256 * high.astype(np.uint16)
-        values = codes if plane["whole"] else codes.view(np.float16).astype(float) * plane["scale"]
-        found[plane["name"]] = values.reshape(shape)
-        start += 2 * count
-    assert start == len(raw)
-    return found
-
-
-@pytest.mark.parametrize("name", ["chips", "mosaic"])
-def test_a_probe_holds_what_the_files_of_the_capture_say(captures: dict[str, Capture], name: str) -> None:
-    capture = captures[name]
-    sensor = capture.sensor
-    assert sensor is not None
-    probe = probe_of(capture, 1)
-    assert probe is not None
-    found = planes(probe.header, probe.data)
-    truth, _ = read_exr(capture.path / "truth" / "0001.exr")
-    mean, variance = (
-        np.stack([truth[f"{kind}.{c}"] for c in "RGB"]) if name == "chips" else truth[kind][None]
-        for kind in ("mean", "variance")
-    )
-    raw = capture.raw(1)
-    assert (found["dn"] == (np.moveaxis(raw, -1, 0) if raw.ndim == 3 else raw[None])).all()
-    assert found["mean"] == pytest.approx((mean - sensor.black_level) / sensor.gain, rel=6e-4, abs=1e-6)
-    assert found["noise"] == pytest.approx(np.sqrt(variance) / sensor.gain, rel=6e-4)
-    assert probe.header["per_dn"] is None  # a colour matrix mixes the channels
-    assert np.moveaxis(found["linear"], 0, -1) == pytest.approx(capture.linear16(1), rel=6e-4, abs=1e-7)
-    assert np.moveaxis(found["linear_mean"], 0, -1) == pytest.approx(capture.clean_linear(1), rel=6e-4, abs=1e-7)
-    assert probe.header["cfa"] == sensor.cfa
-
-
-def test_signals_beyond_half_precision_keep_their_scale(captures: dict[str, Capture], monkeypatch: Any) -> None:
-    capture = captures["chips"]
-    bright = np.full((24, 32, 3), 5e6, np.float32)
-    bright[0, 0] = 2e5
-    monkeypatch.setattr(type(capture), "truth", lambda self, i, kind: bright)
-    probe = probe_of(capture, 0)
-    assert probe is not None
-    mean = planes(probe.header, probe.data)["mean"]
-    assert capture.sensor is not None
-    assert mean[0, 1, 1] == pytest.approx((5e6 - 512) / capture.sensor.gain, rel=1e-3)
-    assert mean[0, 0, 0] == pytest.approx((2e5 - 512) / capture.sensor.gain, rel=1e-3)
 
 
 def test_light_is_shown_at_the_exposures_of_the_dark_and_of_the_well_lit_pictures(captures: dict[str, Capture]) -> None:
@@ -338,3 +179,26 @@ def test_light_is_shown_at_the_exposures_of_the_dark_and_of_the_well_lit_picture
     assert of(lambda i: light[i]).lit == pytest.approx(8)  # whatever stands where the picture is white
     codes[:] = 1
     assert of(lambda i: light[i]).lit is None
+
+
+def test_the_best_method_is_marked_and_the_oracle_does_not_compete() -> None:
+    metrics = {"methods": {"nova": method(25.0, flip=0.2), "naive": method(20.0), "oracle": method(30.0)}}
+    values, competes = scores_of(metrics, "enhanced"), {"nova": True, "naive": True, "oracle": False}
+    marked = {
+        (row["method"], cell["key"])
+        for row in ranked(values, columns("enhanced"), competes)
+        for cell in row["cells"]
+        if cell["best"]
+    }
+    assert ("nova", "aligned_psnr") in marked
+    assert ("naive", "flip") in marked
+    assert not any(name == "oracle" for name, _ in marked)
+    assert not any(key == "lpips" for _, key in marked)
+    none = ranked(values, columns("enhanced"), competes, lambda name, key: False)
+    assert not any(cell["best"] or cell["rank"] for row in none for cell in row["cells"])
+    assert [row["competes"] for row in none] == [False, True, True]  # who is a bound stays known
+
+
+def method(value: float, **others: Any) -> dict[str, Any]:
+    scores = {"psnr": value - 1, "aligned_psnr": value, "ssim": 0.5, "aligned_ssim": 0.6, "flip": 0.1, "lpips": None}
+    return {"mean": {"enhanced": {**scores, **others}, "lit": {**scores, "tone_aligned_psnr": value / 2}}}

@@ -1,4 +1,4 @@
-"""Claims about merging scores, recovered fractions, and the parts of a report."""
+"""Claims about merging scores and recovered fractions."""
 
 from collections.abc import Iterable
 from types import SimpleNamespace
@@ -9,9 +9,6 @@ import pytest
 
 from novags.methods.problem import encode
 from novags.testbed.folders.exposures import Exposures
-from novags.testbed.report.look.maps import ERROR_CEILING, colour_map, depth_map, error_map
-from novags.testbed.report.tables import columns, ranked, scores_of
-from novags.testbed.report.words import duration, join, number, signed, size
 from novags.testbed.stages.scores import scoring
 from novags.testbed.stages.scores.scoring import recovered_fractions, recovered_shares
 
@@ -84,24 +81,6 @@ def test_scores_of_an_earlier_version_have_no_tone_aligned_share_and_say_so() ->
     assert "score them again" in (why or "")
 
 
-def test_the_best_method_is_marked_and_the_oracle_does_not_compete() -> None:
-    metrics = {"methods": {"nova": method(25.0, flip=0.2), "naive": method(20.0), "oracle": method(30.0)}}
-    values, competes = scores_of(metrics, "enhanced"), {"nova": True, "naive": True, "oracle": False}
-    marked = {
-        (row["method"], cell["key"])
-        for row in ranked(values, columns("enhanced"), competes)
-        for cell in row["cells"]
-        if cell["best"]
-    }
-    assert ("nova", "aligned_psnr") in marked
-    assert ("naive", "flip") in marked
-    assert not any(name == "oracle" for name, _ in marked)
-    assert not any(key == "lpips" for _, key in marked)
-    none = ranked(values, columns("enhanced"), competes, lambda name, key: False)
-    assert not any(cell["best"] or cell["rank"] for row in none for cell in row["cells"])
-    assert [row["competes"] for row in none] == [False, True, True]  # who is a bound stays known
-
-
 def test_light_without_an_enhancement_is_as_consistent_as_the_truth_that_it_is_at_another_exposure(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -133,43 +112,3 @@ def test_depth_is_scored_in_the_scale_of_the_true_cameras(monkeypatch: pytest.Mo
     nothing: Any = None
     found = scoring.score_test_views(run, capture, nothing, None, lambda *given: None)["geometry"]
     assert (found["abs_rel"], found["within_5_percent"]) == (0.0, 1.0)
-
-
-@pytest.mark.parametrize("name", ["magma", "viridis"])
-def test_colour_maps_are_those_of_matplotlib_in_every_8_bit_code(name: str) -> None:
-    """Rationale: pages made before must show the same colours."""
-    matplotlib = pytest.importorskip("matplotlib", reason="matplotlib is not installed (scripts/setup dev)")
-    values = np.append(np.linspace(-0.1, 1.1, 5000), np.arange(257) / 256).reshape(1, -1).astype(np.float32)
-    theirs = np.rint(255 * matplotlib.colormaps[name](np.clip(values, 0, 1))[..., :3])
-    assert np.array_equal(np.rint(255 * colour_map(values, name)), theirs)
-    assert len(np.unique(theirs.reshape(-1, 3), axis=0)) > 200
-
-
-def test_error_maps_are_black_where_right_and_bright_at_the_ceiling() -> None:
-    truth = np.random.default_rng(0).uniform(0.3, 0.6, (16, 16, 3)).astype(np.float32)
-    wrong = truth.copy()
-    wrong[0, 0] += 2 * ERROR_CEILING
-    picture = error_map(wrong, truth).mean(-1)
-    assert picture[0, 0] > 0.6
-    assert np.median(picture) < 0.2
-    assert error_map(truth, truth).max() < 0.02
-
-
-def test_depth_is_grey_where_nothing_is_seen() -> None:
-    z = np.linspace(1, 2, 16, dtype=np.float32).reshape(4, 4)
-    seen = np.ones((4, 4), bool)
-    seen[0, 0] = False
-    z[0, 0] = np.inf
-    picture = depth_map(z, seen, 1.0, 2.0)
-    assert (picture[0, 0] == 0.5).all()
-    assert picture[3, 3, 1] > picture[0, 1, 1]  # viridis ends in yellow and begins in purple
-
-
-def test_words_for_numbers() -> None:
-    assert [duration(s) for s in (0.04, 9.9, 59.6, 119.0, 150.0, 7260.0)] == [
-        "0.0 s", "9.9 s", "60 s", "119 s", "2 min 30 s", "2 h 01 min",
-    ]  # fmt: skip
-    assert [size(b) for b in (5e5, 2.5e9)] == ["0 MB", "2.5 GB"]
-    assert [join(w) for w in (["a"], ["a", "b"], ["a", "b", "c"])] == ["a", "a and b", "a, b and c"]
-    assert [number(v) for v in (1.234, None, "inf")] == ["1.23", "unavailable", "inf"]
-    assert [signed(v) for v in (1.0, -0.5)] == ["+1.00", "−0.50"]
