@@ -23,6 +23,7 @@ from novags.testbed.folders.exposures import exposures_of  # noqa: E402
 from novags.testbed.report.page import write_report  # noqa: E402
 from novags.testbed.report.tables import columns, per_view, ranked, ranks, scores_of  # noqa: E402
 from novags.testbed.report.verdict import table_of  # noqa: E402
+from novags.testbed.report.words import duration, join, number, signed, size  # noqa: E402
 from sensor_model import srgb_to_linear  # noqa: E402
 from simscenes.sets.pictures.exr import read_exr  # noqa: E402
 
@@ -202,3 +203,13 @@ def test_the_best_method_is_marked_and_the_oracle_does_not_compete() -> None:
 def method(value: float, **others: Any) -> dict[str, Any]:
     scores = {"psnr": value - 1, "aligned_psnr": value, "ssim": 0.5, "aligned_ssim": 0.6, "flip": 0.1, "lpips": None}
     return {"mean": {"enhanced": {**scores, **others}, "lit": {**scores, "tone_aligned_psnr": value / 2}}}
+
+
+def test_words_for_numbers() -> None:
+    assert [duration(s) for s in (0.04, 9.9, 59.6, 119.0, 150.0, 7260.0)] == [
+        "0.0 s", "9.9 s", "60 s", "119 s", "2 min 30 s", "2 h 01 min",
+    ]  # fmt: skip
+    assert [size(b) for b in (5e5, 2.5e9)] == ["0 MB", "2.5 GB"]
+    assert [join(w) for w in (["a"], ["a", "b"], ["a", "b", "c"])] == ["a", "a and b", "a, b and c"]
+    assert [number(v) for v in (1.234, None, "inf")] == ["1.23", "unavailable", "inf"]
+    assert [signed(v) for v in (1.0, -0.5)] == ["+1.00", "−0.50"]
