@@ -26,14 +26,14 @@ CAMERAS = {"source": "known", "unregistered": [], "registered_share": 1.0, "mean
            "mean_centre_error": 0.0, "depth_scale": 1.0}  # fmt: skip
 
 
-def make_set(folder: Path) -> None:
+def make_set(folder: Path, views: int = 3) -> None:
     """A rendered set, without rendering."""
     from simscenes.sets.pictures.exr import write_exr
     from simscenes.sets.pictures.png import write_png
     from simscenes.sets.writers.camera_files import write_cameras
 
     rng = np.random.default_rng(0)
-    names = ["0000", "0001", "0002"]
+    names = [f"{i:04d}" for i in range(views)]
     spaces = [f"{n}.{c}" for n in ("N", "Ng") for c in "XYZ"] + [f"{n}.{c}" for n in ("var", "albedo") for c in "RGB"]
     for name in names:
         planes = {c: rng.random(SIZE, np.float32) for c in ("R", "G", "B", "Z", "distance", *spaces)}
@@ -42,12 +42,12 @@ def make_set(folder: Path) -> None:
             {**planes, "id": np.ones(SIZE, np.uint32), "material": np.ones(SIZE, np.uint32)},
         )
         write_png(folder / "images" / f"{name}.png", rng.integers(0, 255, (*SIZE, 3), np.uint8))
-    write_cameras(folder, names, some_rig(3, SIZE[1], SIZE[0]))
+    write_cameras(folder, names, some_rig(views, SIZE[1], SIZE[0]))
     facts = {
         "kind": "rendered", "exposure_scale": 1.5, "camera_matrix": [[0.7, 0.2, 0.1], [0.1, 0.8, 0.1], [0.1, 0.2, 0.7]],
         "digest": "ab" * 32, "views": {n: {"spp": 4, "relative_error": 0.1, "fireflies": 0} for n in names},
         "stage": {**STAGE, "inputs": {"scene": "cornell"}},
-        "seconds": {"load": 0.1}, "shapes": ["a"], "materials": ["m"], "n_views": 3, "width": SIZE[1],
+        "seconds": {"load": 0.1}, "shapes": ["a"], "materials": ["m"], "n_views": views, "width": SIZE[1],
         "height": SIZE[0],
     }  # fmt: skip
     (folder / "set.json").write_text(json.dumps(facts))
@@ -65,14 +65,14 @@ def read_set(folder: Path, file: Path) -> object:
     return complete, spent, source.radiance(0), source.lit(0), source.digest(), source.color_matrix
 
 
-def make_capture(folder: Path) -> None:
+def make_capture(folder: Path, views: int = 3, electrons: float = 200.0) -> None:
     from novags.testbed.console.terminal import Console
     from novags.testbed.stages import capture
     from novags.testbed.stages.configs.capturing import CaptureConfig
 
     (folder / "set").mkdir()
-    make_set(folder / "set")
-    capture(folder / "set", folder / "capture", CaptureConfig(electrons=200.0), Console(quiet=True))
+    make_set(folder / "set", views)
+    capture(folder / "set", folder / "capture", CaptureConfig(electrons=electrons), Console(quiet=True))
 
 
 def read_capture(folder: Path, file: Path) -> object:
@@ -84,13 +84,13 @@ def read_capture(folder: Path, file: Path) -> object:
     return capture.clean(0), capture.linear16(0), capture.exposure, capture.channels_share
 
 
-def make_run(folder: Path) -> None:
+def make_run(folder: Path, views: int = 3, electrons: float = 200.0) -> None:
     """An experiment of two runs whose training nobody did."""
     from novags.testbed.folders.capture import open_capture
     from simscenes.sets.pictures.exr import write_exr
     from simscenes.sets.pictures.png import write_png
 
-    make_capture(folder)
+    make_capture(folder, views, electrons)
     capture = open_capture(folder / "capture")
     inputs = {"capture": capture.content, "set": capture.record.simulated.set_content}
     rng = np.random.default_rng(0)

@@ -12,8 +12,14 @@ import pytest
 from novags.testbed import stages
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import open_capture
-from novags.testbed.folders.photographs.linear import load_linear_set
-from novags.testbed.folders.set import open_source, scaled_rig
+from novags.testbed.folders.photographs.linear import (
+    WHITE_QUANTILE,
+    _exposure_scale,
+    _size,
+    find_linear,
+    load_linear_set,
+)  # fmt: skip
+from novags.testbed.folders.set import PHOTOGRAPHS, READERS, for_photographs, open_source, scaled_rig
 from novags.testbed.stages.capturing import QUANTILES, measure_light
 from novags.testbed.stages.configs.capturing import CaptureConfig
 from novags.testbed.stages.configs.importing import ImportConfig
@@ -274,3 +280,57 @@ def test_cameras_of_smaller_pictures_see_the_same_at_scaled_pixels() -> None:
     points = np.random.default_rng(0).normal(0, 0.3, (7, 3))
     np.testing.assert_allclose(small.project(points)[0], rig.project(points)[0] / 2, atol=1e-9)
     assert scaled_rig(rig, 40) is rig
+
+
+@pytest.mark.parametrize("name", ["images/0000.png", "images/0002.png", "transforms.json"])
+def test_every_file_of_a_set_that_is_read_counts_and_no_other(name: str, tmp_path: Path) -> None:
+    source = open_source(photographs(tmp_path, ".png"), QUIET)
+    before = source.digest()
+    (tmp_path / "notes.txt").write_text("mine")
+    (tmp_path / "images" / "thumbs.db").write_text("somebody's")
+    assert source.digest() == before
+    with (tmp_path / name).open("ab") as file:
+        file.write(b" ")
+    assert source.digest() != before
+
+
+def test_light_slightly_below_zero_is_so_by_the_bright_light_of_its_picture(tmp_path: Path) -> None:
+    """One hundredth of the bright light is noise, more is an error, whatever the unit of the light is."""
+    folder = photographs(tmp_path, ".exr")
+    for unit in (1e-3, 1.0, 1e3):
+        for share, fine in ((-0.009, True), (-0.02, False)):
+            channel = np.full((30, 40), 0.1 * unit, np.float32)
+            channel[:10] = unit  # a third is bright
+            channel[20, 20] = share * unit
+            write_exr(folder / "images" / "0001.exr", dict.fromkeys("RGB", channel))
+            source = open_source(folder, QUIET)
+            if fine:
+                assert source.radiance(1).min() == 0
+                assert source.radiance(1).max() == np.float32(unit)
+            else:
+                with pytest.raises(ValueError, match="radiance must be finite and >= 0"):
+                    source.radiance(1)
+
+
+def test_photographs_need_the_modules_of_all_their_tables() -> None:
+    found = for_photographs()
+    for table in (PHOTOGRAPHS, READERS):
+        assert {table.module_of(name) for name in table} - {None} <= set(found)
+
+
+def test_the_size_of_a_picture_is_that_of_its_window_and_its_exposure_makes_a_bright_part_white(tmp_path: Path) -> None:
+    light = np.linspace(1.0, 100.0, 30 * 40, dtype=np.float32).reshape(30, 40)
+    file = tmp_path / "a.exr"
+    write_exr(file, dict.fromkeys("RGB", light))
+    assert _size(file) == (40, 30)
+    assert 1 / _exposure_scale((file,)) == pytest.approx(np.quantile(light, WHITE_QUANTILE), rel=1e-3)
+
+
+@pytest.mark.parametrize("place", ["images", "raw", "."])
+@pytest.mark.parametrize("suffix", [".exr", ".EXR", ".dng", ".NEF"])
+def test_a_linear_file_is_found_in_every_place_with_every_suffix(place: str, suffix: str, tmp_path: Path) -> None:
+    file = tmp_path / place / f"sub/a{suffix}"
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.touch()
+    assert find_linear(tmp_path, "images/sub/a.png") == file
+    assert find_linear(tmp_path, "images/sub/b.png") is None

@@ -5,12 +5,10 @@ import os
 import signal
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from novags.testbed.folders.events import EventLog
 from novags.testbed.folders.run import Run
-from simscenes.sets.pictures.exr import write_exr
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
 
@@ -111,17 +109,3 @@ def test_a_log_that_is_a_link_or_not_utf8_is_refused_by_name(monkeypatch: pytest
     (tmp_path / "events.jsonl").write_bytes(b"\xff\xfe")
     with pytest.raises(ValueError, match=r"events\.jsonl is missing or damaged .*UTF-8"):
         Run(tmp_path, {}).events()
-
-
-def test_a_run_that_renders_what_is_no_light_is_refused_with_the_name_of_the_picture(tmp_path: Path) -> None:
-    plane = np.full((2, 3), 0.5, np.float32)
-    for wrong in (np.nan, np.inf, -np.inf, 1e38):
-        for channel in ("R", "Z", "alpha"):
-            planes = {name: plane.copy() for name in ("R", "G", "B", "Z", "alpha")}
-            planes[channel][1, 2] = wrong
-            write_exr(tmp_path / "exr" / "0001.exr", planes)
-            with pytest.raises(ValueError, match=rf"0001\.exr is damaged: 1 pixels of its channel {channel} are not"):
-                (Run(tmp_path, {}).rendering if channel == "R" else Run(tmp_path, {}).depth)("0001")
-    write_exr(tmp_path / "exr" / "0001.exr", {"R": plane, "G": plane})
-    with pytest.raises(ValueError, match=r"0001\.exr has no channel B: reconstruct again"):
-        Run(tmp_path, {}).rendering("0001")

@@ -11,6 +11,9 @@ import rawpy
 
 from novags.testbed.folders.photographs.raw_files import read_digital_numbers, read_format, read_mosaic, read_radiance
 from sensor_model import PRESETS, Exposure, Sensor, write_dng
+from sensor_model.files.dng import XYZ_TO_SRGB
+from tests.dngs import NEUTRAL, mosaic_of
+from tests.dngs import write_dng as write_tags
 
 CAMERA = PRESETS["imx900-hcg"]
 SIZE = (200, 60)  # rows, columns
@@ -129,3 +132,29 @@ def test_a_file_states_the_black_of_each_filter_and_its_own_white(channels: int 
     found = read_format(tmp_path / "a.dng")
     assert found.black == (camera.black_level,) * (channels or 4)
     assert found.white == int(camera.white_dn) > camera.black_level
+
+
+def test_raw_colours_that_are_developed_here_go_through_the_matrix_of_the_file(tmp_path: Path) -> None:
+    """Four black levels, which LibRaw would take for one, and a matrix that is not its own transpose."""
+    matrix = np.array([[1.6, -0.5, -0.1], [-0.2, 1.5, -0.3], [0.1, -0.6, 1.5]])
+    color, levels = np.array([0.3, 0.1, 0.05]), [500.0, 520.0, 540.0, 560.0]
+    light = np.broadcast_to(np.linalg.inv(matrix) @ color, (48, 64, 3))
+    codes = mosaic_of(light, np.tile(np.reshape(levels, (2, 2)), (24, 32)))
+    to_camera = NEUTRAL[:, None] * (np.linalg.inv(matrix) @ XYZ_TO_SRGB)
+    extra: Any = {50713: ("H", [2, 2]), 50721: ("S", to_camera.ravel().tolist())}
+    file = write_tags(tmp_path / "a.dng", codes, extra, black=levels)
+    stated = read_format(file)
+    assert stated.color_matrix is not None
+    assert stated.black == tuple(levels)
+    np.testing.assert_allclose(stated.color_matrix, matrix, atol=5e-3)
+    np.testing.assert_allclose(read_radiance(file)[8:-8, 8:-8].mean((0, 1)), color, rtol=0.02)
+
+
+def test_codes_are_compared_with_the_least_of_the_stated_black_levels(tmp_path: Path) -> None:
+    levels = np.array([[500.0, 500.0], [500.0, 4000.0]])
+    codes = mosaic_of(np.full((48, 64, 3), 0.01), np.tile(levels, (24, 32)))
+    file = write_tags(tmp_path / "a.dng", codes, {50713: ("H", [2, 2])}, black=levels.ravel().tolist())
+    np.testing.assert_array_equal(read_digital_numbers(file), codes)
+    wrong = write_tags(tmp_path / "b.dng", codes - 480, {50713: ("H", [2, 2])}, black=[4000.0] * 4)
+    with pytest.raises(ValueError, match="black is probably subtracted already"):
+        read_digital_numbers(wrong)

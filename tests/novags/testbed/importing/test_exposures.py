@@ -16,10 +16,10 @@ from novags.testbed.console.terminal import Console
 from novags.testbed.folders.photographs.raw_files import read_digital_numbers
 from novags.testbed.importing.exposures import check_exposed_alike, stated_of
 from novags.testbed.importing.raw_camera import raw_camera
-from novags.testbed.importing.stored import is_lossy
+from novags.testbed.importing.stored import Codes16, is_lossy
 from novags.testbed.stages.configs.capturing import CaptureConfig
 from novags.testbed.stages.configs.importing import ImportConfig
-from sensor_model import PRESETS, Exposure, expose, mosaic, write_dng
+from sensor_model import PRESETS, Exposure, expose, mosaic, srgb_to_linear, write_dng
 from simscenes import orbit_rig
 from simscenes.sets.multiview import write_cameras
 from simscenes.sets.pictures.png import read_png, write_png
@@ -149,3 +149,28 @@ def test_compression_with_loss_is_seen_in_every_format_that_has_it(tmp_path: Pat
     assert is_lossy(tmp_path / "film.webp")
     cv2.imwrite(str(tmp_path / "deep.tif"), np.full((8, 8, 3), 700, np.uint16))
     assert not is_lossy(tmp_path / "deep.tif")
+
+
+@pytest.mark.parametrize("curve", ["linear", "srgb"])
+def test_codes_are_light_between_their_own_black_and_white(curve: str) -> None:
+    codes = Codes16(black=1000.0, white=9000.0, curve=curve)  # type: ignore[arg-type]
+    light = codes.linear(np.array([200, 1000, 3000, 5000, 9000, 10600], np.uint16))
+    expected = np.array([-0.1, 0.0, 0.25, 0.5, 1.0, 1.2])
+    np.testing.assert_allclose(light, expected if curve == "linear" else srgb_to_linear(expected), atol=1e-6)
+    eight = codes.linear(np.array([0, 128, 255], np.uint8))
+    np.testing.assert_allclose(eight, srgb_to_linear(np.array([0, 128, 255]) / 255), atol=1e-6)
+
+
+def test_raw_files_of_the_first_one_are_one_cameras_and_others_are_refused_by_what_differs(tmp_path: Path) -> None:
+    codes = np.random.default_rng(0).integers(700, 900, (64, 64)).astype(np.uint16)
+    other = replace(CAMERA, mu_e_sat=CAMERA.mu_e_sat / 4, bits=12)
+    for name, sensor, dn in (("a", CAMERA, codes), ("b", other, codes), ("c", CAMERA, codes[:48])):
+        write_dng(tmp_path / f"{name}.dng", np.ascontiguousarray(dn), sensor, Exposure(time=0.1))
+    camera = raw_camera(tmp_path / "a.dng", None, "bilinear")
+    assert camera.format.black[0] < camera.format.white
+    assert camera.sensor.mu_e_sat == camera.format.white - camera.format.black[0]
+    assert camera.sensor.bits == int(camera.format.white).bit_length() > 8
+    np.testing.assert_array_equal(camera.codes(tmp_path / "a.dng"), codes)
+    for name, what in (("b", "white level"), ("c", "size")):
+        with pytest.raises(ValueError, match=f"{name}.dng has the {what}"):
+            camera.codes(tmp_path / f"{name}.dng")

@@ -8,7 +8,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from novags.testbed.ledger.contents import UNFINISHED, digest, folder_digest, jsonable, read_json, write_json
+from novags.testbed.ledger.contents import (
+    UNFINISHED,
+    checksum,
+    digest,
+    folder_digest,
+    jsonable,
+    read_json,
+    refuse_damage,
+    shown,
+    stage_key,
+    write_json,
+)  # fmt: skip
 from sensor_model.files.records import read_once
 
 
@@ -112,3 +123,34 @@ def test_what_is_hashed_is_what_was_parsed_whoever_writes_meanwhile(
         assert folder_digest(tmp_path) == before
     assert read_json(file) == {"b": 22}
     assert folder_digest(tmp_path) != before
+
+
+@pytest.mark.parametrize("part", ["name", "code", "inputs", "config"])
+def test_every_part_of_a_request_is_part_of_its_key_and_no_cost(part: str) -> None:
+    stage = {"name": "render", "code": "c", "inputs": {"scene": "x"}, "config": {"spp": 4}, "seconds": 1.0}
+    assert stage_key(stage | {"seconds": 2.0}) == stage_key(stage)
+    assert stage_key(stage | {part: "another"}) != stage_key(stage)
+
+
+@pytest.mark.parametrize("wrong", ["a.png", "b/c.png", "d.exr"])
+def test_damage_is_seen_in_every_file_or_in_every_named_one(tmp_path: Path, wrong: str) -> None:
+    names = ("a.png", "b/c.png", "d.exr")
+    for name in names:
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(name)
+    stage = {"files": {name: checksum(tmp_path / name) for name in names}}
+    refuse_damage(tmp_path, stage, "do it again")
+    (tmp_path / wrong).write_text("another")
+    others = [name for name in names if name != wrong]
+    refuse_damage(tmp_path, stage, "do it again", others)
+    for asked in (None, [*others, wrong], [wrong, *others]):
+        with pytest.raises(ValueError, match=f"{wrong} not as written"):
+            refuse_damage(tmp_path, stage, "do it again", asked)
+
+
+def test_of_several_named_entries_all_files_are_shown(tmp_path: Path) -> None:
+    for name in ("a/1", "a/b/2", "c", "d/3", "e"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).touch()
+    assert sorted(shown(tmp_path, ("c", "a", "d", "none"))) == ["a/1", "a/b/2", "c", "d/3"]
+    assert sorted(shown(tmp_path, None)) == ["a/1", "a/b/2", "c", "d/3", "e"]

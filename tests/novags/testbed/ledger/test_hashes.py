@@ -124,3 +124,17 @@ def test_a_missing_file_is_not_remembered(tmp_path: Path, reader: Reader, monkey
     file.unlink()
     with pytest.raises(FileNotFoundError):
         remembered(file, reader, "x")
+
+
+def test_a_hash_under_the_stamp_of_another_file_is_not_believed(reader: Reader) -> None:
+    """As a data base that a crash has damaged may have it: the seal of a row is of its stamp, too."""
+    base = hashes._base("x", 0)
+    first, second = (1, 2, 3, ".png"), (1, 2, 4, ".png")
+    base.keep(first, b"one")
+    base.keep(second, b"two")
+    assert (base.find(first), base.find(second)) == (b"one", b"two")
+    assert base._open is not None
+    row = base._open.execute("SELECT hash, seal FROM files WHERE stamp = ?", (repr(first),)).fetchone()
+    base._open.execute("UPDATE files SET hash = ?, seal = ? WHERE stamp = ?", (*row, repr(second)))
+    assert base.find(first) == b"one"
+    assert base.find(second) is None

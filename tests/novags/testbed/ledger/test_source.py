@@ -181,3 +181,33 @@ def test_tokens_are_those_of_the_standard_library(tmp_path: Path) -> None:
     expected = [kinds.get(t.type, t.string) for t in tokenize.tokenize(io.BytesIO(content).readline)
                 if t.type not in skipped]  # fmt: skip
     assert list(significant(content)) == expected
+
+
+def test_all_names_of_a_statement_count_whichever_of_them_is_used() -> None:
+    text = b"""
+import one, two.part, three as third
+from pkg import four, five as fifth
+
+
+def change():
+    global A, B
+    A, B = one.x, two.part.y
+    import six, seven
+    from pkg.deep import eight, nine
+    return third, four, fifth
+"""
+    (change,), imports = (found := read(text)).definitions, found.imports
+    assert change.names == ("A", "B", "change")
+    assert set(imports) == {"one", "two", "third", "four", "fifth"}
+    assert set(found.loads) == {("one", ""), ("two.part", ""), ("three", ""), ("pkg", "four"), ("pkg", "five")}
+    assert {use.partition(".")[0] for use in change.uses} >= {"one", "two", "third", "four", "fifth", "A", "B"}
+    assert set(change.reaches) == {("six", ""), ("seven", ""), ("pkg.deep", "eight"), ("pkg.deep", "nine")}
+
+
+@pytest.mark.parametrize(("text", "names", "runs"), [(b"a = b = c[0] = 1", ("a", "b"), True),
+                                                     (b"a, (b, c) = d = f()", ("a", "b", "c", "d"), True),
+                                                     (b"a = b, c = f()", ("a", "b", "c"), False),
+                                                     (b"a, b.c = f()", ("a",), True)])  # fmt: skip
+def test_every_target_of_an_assignment_is_bound(text: bytes, names: tuple[str, ...], runs: bool) -> None:
+    (found,) = read(text).definitions
+    assert (found.names, found.runs) == (names, runs)

@@ -15,12 +15,12 @@ sys.path.insert(0, str(ROOT))  # where pytest is started by itself and not as a 
 from novags.methods.variant import Variant  # noqa: E402
 from novags.testbed import stages  # noqa: E402
 from novags.testbed.console.terminal import Console  # noqa: E402
-from novags.testbed.folders.capture import open_capture  # noqa: E402
+from novags.testbed.folders.capture import Capture, open_capture  # noqa: E402
 from novags.testbed.ledger.contents import jsonable  # noqa: E402
 from novags.testbed.report.page import write_report  # noqa: E402
 from novags.testbed.stages.configs.capturing import CaptureConfig  # noqa: E402
 from novags.testbed.study.cells.presets import EXPERIMENTS, adapted  # noqa: E402
-from tests.fuzz.readers.records import STAGE, make_run  # noqa: E402
+from tests.fuzz.readers.records import STAGE, make_run, make_set  # noqa: E402
 
 QUIET = Console(quiet=True)
 PSNR = {"naive": 20.25, "better": 23.75, "oracle": 30.5}
@@ -114,3 +114,16 @@ def visit(browser: Any) -> Iterator[Callable[..., Any]]:
     for context in contexts:
         context.close()
     assert complaints == []
+
+
+@pytest.fixture(scope="session")
+def captures(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Capture]:
+    """Of a set through colour filters of its own: three chips, and a Bayer mosaic."""
+    folder = tmp_path_factory.mktemp("captures")
+    (folder / "set").mkdir()
+    make_set(folder / "set")
+    found = {}
+    for name, sensor in (("chips", "a7s2-iso6400-3chip"), ("mosaic", "a7s2-iso6400")):
+        stages.capture(folder / "set", folder / name, CaptureConfig(sensor=sensor, electrons=60.0), QUIET)
+        found[name] = open_capture(folder / name)
+    return found

@@ -7,13 +7,16 @@ import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 from novags.testbed.console.terminal import Console
+from novags.testbed.report import material as module
 from novags.testbed.report import page
 from novags.testbed.report.blocks.cost import costs
-from novags.testbed.report.material import Material, material_of
+from novags.testbed.report.material import Material, material_of, spread, titles
 from novags.testbed.report.place import Place, places_in
 from novags.testbed.report.study import study_material
 from novags.testbed.stages.scores.scoring import score
@@ -175,3 +178,53 @@ def test_a_study_whose_variant_is_of_a_method_that_is_gone_is_reported_on(
 
 def test_of_results_whose_rows_are_here_nothing_is_said_to_be_gone(experiment: Path) -> None:
     assert absent_rows(experiment / "report.html") == []
+
+
+def test_places_of_the_same_title_are_told_apart_by_their_folders_whichever_they_are(tmp_path: Path) -> None:
+    def place(title: str, folder: str) -> Any:
+        return SimpleNamespace(title=title, capture=SimpleNamespace(path=tmp_path / folder))
+
+    places = [place("one", "a"), place("two", "b"), place("one", "c"), place("two", "d/e"), place("three", "f")]
+    assert titles(places, tmp_path) == ["one (a)", "two (b)", "one (c)", "two (d/e)", "three"]
+    assert titles(places[:1], tmp_path) == [""]
+
+
+def test_of_many_views_some_are_shown_evenly() -> None:
+    assert spread([3, 5, 7, 9, 11, 13, 15, 17, 19], 3) == [3, 11, 19]
+    assert spread([4, 2], 3) == [4, 2]
+
+
+def test_every_run_of_every_place_is_a_row_with_all_its_columns(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def place(title: str, *names: str) -> Any:
+        values = {name: float(k) for k, name in enumerate(names, 1)}
+        methods = {name: {"mean": {"lit": {"psnr": 10 * value}}} for name, value in values.items()}
+        metrics = {"methods": methods, "recovered": values, "recovered_lit": {}, "unavailable": {f"x-{title}": "why"}}
+        lit = SimpleNamespace(views=SimpleNamespace(unregistered=[]))
+        runs = {name: SimpleNamespace(name=name) for name in names}
+        return SimpleNamespace(title=title, runs=runs, metrics=metrics, deltas=lambda kind: (values, "base"), lit=lit,
+                               capture=SimpleNamespace(path=tmp_path / title))  # fmt: skip
+
+    monkeypatch.setattr(module, "flat_scores", lambda scores: {"lit.psnr": scores["mean"]["lit"]["psnr"]})
+    monkeypatch.setattr(module, "_by_method", lambda runs: {})
+    monkeypatch.setattr(module, "made_of", lambda run, name, known: name)
+    found = material_of([place("s", "a", "b"), place("t", "c", "d", "e")], tmp_path / "report.html")
+    assert [(row["run"], row["capture"], row["method"]) for row in found.rows] == [
+        (1, "s", "a"), (2, "s", "b"), (3, "t", "c"), (4, "t", "d"), (5, "t", "e")
+    ]  # fmt: skip
+    assert [row["lit.psnr"] for row in found.rows] == [10.0, 20.0, 10.0, 20.0, 30.0]
+    assert [row["recovered"] for row in found.rows] == [row["over.lit"] for row in found.rows] == [1, 2, 1, 2, 3]
+    assert found.made == dict(enumerate("abcde", 1))
+    assert list(found.places) == ["s", "t"]
+    assert found.unavailable == {"s: x-s": "why", "t: x-t": "why"}
+
+
+def test_what_differs_from_any_row_to_another_is_varied() -> None:
+    rows = [{"scene": "a", "level": 1, "seed": 0, "method": name} for name in "xyz"]
+    rows[-1] |= {"level": 2, "seed": 1}
+    nothing: Any = {}
+    found = Material(
+        Path("r.html"), rows, dict.fromkeys(("scene", "level", "method", "seed"), ()), nothing, nothing, {}
+    )
+    assert found.varied == ["level", "seed"]

@@ -231,3 +231,19 @@ def test_a_point_that_lacks_an_end_of_its_bar_has_none(ends: dict[str, float]) -
     svg = drawn(Series("n", "m0", points, mark=MARKS[0]))
     (bars,) = re.findall(r'class="spread [^"]*" d="([^"]*)"', svg)
     assert bars.count("V") == 1
+
+
+@pytest.mark.parametrize("axis", [Axis("x", 2.0, 6.0), Axis("x", 2.0, 6.0, logarithmic=True)])
+def test_values_beyond_an_end_are_drawn_there_and_what_has_no_logarithm_at_the_beginning(axis: Axis) -> None:
+    values = [1e-9, 100.0, 1e4, 1e9] if axis.logarithmic else [-5.0, 2.0, 4.0, 9.0]
+    assert [axis.share(value) for value in values] == [0.0, 0.0, 0.5, 1.0]
+    assert axis.share(0.0) == axis.share(-1.0) == 0.0
+
+
+@pytest.mark.parametrize("values", [[-4.0, -1.0, -2.0], [3.0, 9.0, 6.0], [0.5, 0.25, 10.0]])
+def test_the_room_beside_the_values_is_a_twentieth_of_their_range(values: list[float]) -> None:
+    axis = Axis.around("x", values)
+    room = 0.05 * (max(values) - min(values))
+    assert axis.high == pytest.approx(max(values) + room)
+    assert axis.low == pytest.approx(max(min(values) - room, -0.05 * (max(values) + room)) if min(values) > 0
+                                     else min(values) - room)  # fmt: skip

@@ -8,6 +8,7 @@ import shutil
 import zlib
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,9 +17,10 @@ import pytest
 from novags.testbed import stages
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import Capture, open_capture
+from novags.testbed.report import page
 from novags.testbed.report.look import album
 from novags.testbed.report.look.probe import probe_of
-from novags.testbed.report.page import write_report, write_reports, write_study
+from novags.testbed.report.page import report_path, write_report, write_reports, write_study
 from novags.testbed.stages.configs.capturing import CaptureConfig
 
 QUIET = Console(quiet=True)
@@ -203,3 +205,39 @@ def test_a_table_saved_as_csv_holds_no_formula(visit: Callable[..., Any], experi
     tab = visit(experiment / "report.html")
     tab.evaluate(f"delete {cell}.dataset.value, {cell}.textContent = '=1'")
     assert "'=1," in tab.evaluate(f"novags.tables.csv({cell}.closest('table'))")
+
+
+def test_a_report_on_other_runs_is_not_replaced_whichever_run_is_another(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = list[str]()
+    monkeypatch.setattr(page, "build", lambda material, console, identity: made.append(identity))
+    monkeypatch.setattr(page, "material_of", lambda places, path: None)
+    places = {name: SimpleNamespace(runs={f"{name}{k}": SimpleNamespace(path=tmp_path / f"{name}{k}") for k in (0, 1)})
+              for name in "abc"}  # fmt: skip
+    for names in ("ab", "ac", "cb", "a", "ba"):
+        monkeypatch.setattr(page, "places_in", lambda folders, console, names=names: [places[name] for name in names])
+        write_reports([tmp_path / name for name in names], QUIET, out=tmp_path / "out.html")
+    assert made[0] == made[-1]
+    assert len(set(made)) == 4
+
+
+def test_a_report_on_one_study_does_not_replace_that_on_another(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = list[str]()
+    monkeypatch.setattr(page, "build", lambda material, console, identity: made.append(identity))
+    monkeypatch.setattr(page, "study_material", lambda folder, path: SimpleNamespace(axes={}))
+    for name in ("a", "b", "a"):
+        write_study(tmp_path / name)
+    assert made[0] == made[2] != made[1]
+    (tmp_path / "out.html").write_text(f'<meta name="novags-runs" content="{made[0]}">')
+    write_study(tmp_path / "a", tmp_path / "out.html")
+    with pytest.raises(ValueError, match="is not of a report on this study"):
+        write_study(tmp_path / "b", tmp_path / "out.html")
+
+
+def test_a_report_on_several_folders_lies_above_all_of_them(tmp_path: Path) -> None:
+    folders = [tmp_path / "a" / "b" / "x", tmp_path / "a" / "y", tmp_path / "c" / "z"]
+    assert report_path(folders) == tmp_path / "comparison.html"
+    assert report_path(folders[:2]) == tmp_path / "a" / "comparison.html"

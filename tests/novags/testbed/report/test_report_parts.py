@@ -2,11 +2,9 @@
 
 import base64
 import json
-import math
 import re
 import shutil
 import sys
-import zlib
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -19,21 +17,15 @@ import pytest
 ROOT = Path(__file__).resolve().parents[4]
 sys.path.insert(0, str(ROOT))  # where pytest is started by itself and not as a module
 
-from novags.testbed import stages  # noqa: E402
 from novags.testbed.console.terminal import Console  # noqa: E402
 from novags.testbed.folders.capture import Capture, open_capture  # noqa: E402
 from novags.testbed.folders.exposures import exposures_of  # noqa: E402
-from novags.testbed.report.blocks.signal import _chart, by_filter, histogram  # noqa: E402
-from novags.testbed.report.look.album import Album, files_of  # noqa: E402
-from novags.testbed.report.look.maps import colour_map, normal_map, normals_of_depth  # noqa: E402
-from novags.testbed.report.look.probe import probe_of  # noqa: E402
 from novags.testbed.report.page import write_report  # noqa: E402
 from novags.testbed.report.tables import columns, per_view, ranked, ranks, scores_of  # noqa: E402
 from novags.testbed.report.verdict import table_of  # noqa: E402
-from novags.testbed.stages.configs.capturing import CaptureConfig  # noqa: E402
+from novags.testbed.report.words import duration, join, number, signed, size  # noqa: E402
 from sensor_model import srgb_to_linear  # noqa: E402
 from simscenes.sets.pictures.exr import read_exr  # noqa: E402
-from tests.fuzz.readers.records import make_set  # noqa: E402
 
 QUIET = Console(quiet=True)
 
@@ -128,6 +120,14 @@ def test_the_shares_of_the_costs_are_of_the_whole_time_and_the_longest_stage_has
     assert bars == pytest.approx([100 * value / max(seconds) for value in seconds], abs=0.051)
 
 
+def test_a_score_that_a_later_view_has_alone_is_told_of_all_views() -> None:
+    views = {"0": {"lit": {"psnr": None}}, "1": {"lit": {"psnr": 20.0}}, "2": {"lit": {"psnr": 30.0}}}
+    found = per_view({"methods": {"naive": {"mean": {"lit": {"psnr": 25.0}}, "views": views}}}, "lit")
+    assert found is not None
+    assert found["scores"]["psnr"]["values"] == [[None], [20.0], [30.0]]
+    assert found["scores"]["psnr"]["spread"]["mean"] == [25.0]
+
+
 def test_the_spread_over_views_is_that_of_the_views() -> None:
     views = {f"{k}": {"enhanced": {"aligned_psnr": value, "flip": value / 10, "lpips": None}}
              for k, value in enumerate((20.0, 26.0, 23.0))}  # fmt: skip
@@ -142,28 +142,6 @@ def test_the_spread_over_views_is_that_of_the_views() -> None:
     assert found["scores"]["flip"]["spread"]["worst"] == [9.0]
     assert found["scores"]["flip"]["spread"]["best"] == [2.0]
     assert per_view({"methods": {"a": {"mean": {"enhanced": None}, "views": {}}}}, "enhanced") is None
-
-
-def test_normals_of_a_tilted_plane_are_its_own_and_face_the_camera() -> None:
-    normal = np.array([0.3, -0.5, -0.8])
-    normal /= np.linalg.norm(normal)
-    K = np.array([[40.0, 0, 15.2], [0, 44.0, 11.1], [0, 0, 1]])
-    rows, columns = np.indices((24, 32))
-    rays = np.stack([(columns + 0.5 - 15.2) / 40, (rows + 0.5 - 11.1) / 44, np.ones((24, 32))], -1)
-    z = (normal @ [0, 0, 5.0]) / (rays @ normal)  # n . (z ray) = n . p
-    found = normals_of_depth(z, K)
-    assert found.reshape(-1, 3) == pytest.approx(np.broadcast_to(normal, (24 * 32, 3)), abs=1e-2)
-    assert found[1:-1, 1:-1].reshape(-1, 3) == pytest.approx(np.broadcast_to(normal, (22 * 30, 3)), abs=2e-3)
-
-
-def test_no_depth_makes_no_normal_and_a_wall_ahead_is_blue() -> None:
-    K = np.array([[20.0, 0, 8], [0, 20.0, 8], [0, 0, 1]])
-    assert not np.isnan(normals_of_depth(np.zeros((16, 16)), K)).any()
-    seen = np.ones((16, 16), bool)
-    seen[0, 0] = False
-    picture = normal_map(normals_of_depth(np.full((16, 16), 2.0), K), seen)
-    assert picture[5, 5] == pytest.approx([0.5, 0.5, 1.0])
-    assert picture[0, 0] == pytest.approx([0.5, 0.5, 0.5])
 
 
 def decoded(uri: str) -> np.ndarray:
@@ -184,197 +162,6 @@ def test_true_normals_are_those_of_the_set_in_the_axes_of_the_camera(experiment:
     assert np.abs(decoded(uri[1]) - 255 * expected.clip(0, 1)).max() <= 0.51
 
 
-@pytest.mark.parametrize("kind", ["noise", "map"])
-def test_small_pictures_keep_every_code_and_maps_are_small(tmp_path: Path, kind: str) -> None:
-    rng = np.random.default_rng(0)
-    values = rng.random((60, 50))
-    image = rng.random((60, 50, 3)) if kind == "noise" else colour_map(values, "magma")
-    album = Album(tmp_path / "page.html")
-    picture = album.add(image.astype(np.float32))
-    album.settle()
-    assert (decoded(picture.src) == np.round(255 * image.astype(np.float32)).astype(np.uint8)).all()
-    assert picture.exact
-    assert picture.full is None
-    if kind == "map":
-        plain = cv2.imencode(".png", np.round(255 * image[..., ::-1]).astype(np.uint8))[1]
-        assert picture.data is not None
-        assert len(picture.data) < 0.6 * len(plain)
-
-
-def test_a_name_with_quotes_hands_its_data_over(tmp_path: Path) -> None:
-    album = Album(tmp_path / "page.html", inside=0)
-    script = album.add_data('probe-a "b" \\ c', b"data")
-    album.settle()
-    assert script.file is not None
-    call = (tmp_path / script.file).read_text()
-    name, text = json.loads(f"[{call[call.index('(') + 1 : call.rindex(')')]}]")
-    assert (name, text) == (script.name, base64.b64encode(b"data").decode())
-    assert script.text == ""
-
-
-def test_large_pictures_are_jpeg_at_their_own_size(tmp_path: Path) -> None:
-    album = Album(tmp_path / "page.html")
-    picture = album.add(np.random.default_rng(0).random((300, 700, 3)).astype(np.float32))
-    album.settle()
-    assert picture.src.startswith("data:image/jpeg")
-    assert decoded(picture.src).shape == (300, 700, 3)
-    assert not picture.exact
-
-
-def test_what_does_not_fit_into_a_page_leaves_the_memory_as_it_comes(tmp_path: Path) -> None:
-    album = Album(tmp_path / "page.html", inside=40_000)
-    encoded = [bytes([i]) * 9_000 for i in range(10)]
-    pictures = []
-    for i, data in enumerate(encoded):
-        pictures.append(album.add_encoded(data, "png"))
-        album.add_data(f"probe-{i}", data[::-1])
-        kept = sum(picture.data is not None for picture in pictures)
-        assert kept == (i + 1 if i < 3 else 0)  # three take 36,000 bytes as text
-        assert sum(script.text != "" for script in album._scripts) == kept
-    assert [(tmp_path / str(picture.full)).read_bytes() for picture in pictures] == encoded
-    files = {str(script.file) for script in album._scripts}
-    assert len(files) == 10
-    for i, script in enumerate(album._scripts):
-        assert base64.b64encode(encoded[i]).decode() in (tmp_path / str(script.file)).read_text()
-
-
-def test_beside_a_page_lies_what_it_shows_and_nothing_of_earlier_pages(tmp_path: Path) -> None:
-    def make(*seeds: int, inside: int) -> list[Any]:
-        album = Album(tmp_path / "page.html", inside)
-        found = [album.add(np.random.default_rng(seed).random((200, 250, 3)).astype(np.float32)) for seed in seeds]
-        found.append(album.add_data("probe-x", b"numbers"))  # type: ignore[arg-type]
-        album.settle()
-        return found
-
-    folder = files_of(tmp_path / "page.html")
-    *pictures, data = make(0, 1, inside=10_000)
-    assert {path.name for path in folder.iterdir()} == {Path(item.full or "").name for item in pictures} | {
-        Path(data.file).name
-    }
-    for seed, item in enumerate(pictures):
-        alone = Album(tmp_path / "alone.html")
-        same = alone.add(np.random.default_rng(seed).random((200, 250, 3)).astype(np.float32))
-        assert (folder.parent / str(item.full)).read_bytes() == same.data
-    assert max(decoded(pictures[0].src).shape) == 144
-    (folder / "mine.png").write_bytes(b"x")
-    (kept, _) = make(1, inside=10)
-    assert {path.name for path in folder.iterdir()} >= {"mine.png", Path(kept.full or "").name}
-    assert len(list(folder.iterdir())) == 3
-    (folder / "mine.png").unlink()
-    make(1, inside=10_000_000)
-    assert not folder.exists()
-
-
-@pytest.fixture(scope="module")
-def captures(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Capture]:
-    """Of a set through colour filters of its own: three chips, and a Bayer mosaic."""
-    folder = tmp_path_factory.mktemp("captures")
-    (folder / "set").mkdir()
-    make_set(folder / "set")
-    found = {}
-    for name, sensor in (("chips", "a7s2-iso6400-3chip"), ("mosaic", "a7s2-iso6400")):
-        stages.capture(folder / "set", folder / name, CaptureConfig(sensor=sensor, electrons=60.0), QUIET)
-        found[name] = open_capture(folder / name)
-    return found
-
-
-def planes(header: dict[str, Any], data: bytes) -> dict[str, np.ndarray]:
-    """Each plane [channels,h,w] by its name, as the page describes them."""
-    raw, start, found = np.frombuffer(zlib.decompress(data), np.uint8), 0, {}
-    for plane in header["planes"]:
-        shape = (plane["channels"], header["height"], header["width"])
-        count = math.prod(shape)
-        low, high = raw[start : start + count], raw[start + count : start + 2 * count]
-        codes = low.astype(np.uint16) + 256 * high.astype(np.uint16)
-        values = codes if plane["whole"] else codes.view(np.float16).astype(float) * plane["scale"]
-        found[plane["name"]] = values.reshape(shape)
-        start += 2 * count
-    assert start == len(raw)
-    return found
-
-
-@pytest.mark.parametrize("name", ["chips", "mosaic"])
-def test_a_probe_holds_what_the_files_of_the_capture_say(captures: dict[str, Capture], name: str) -> None:
-    capture = captures[name]
-    sensor = capture.sensor
-    assert sensor is not None
-    probe = probe_of(capture, 1)
-    assert probe is not None
-    found = planes(probe.header, probe.data)
-    truth, _ = read_exr(capture.path / "truth" / "0001.exr")
-    mean, variance = (
-        np.stack([truth[f"{kind}.{c}"] for c in "RGB"]) if name == "chips" else truth[kind][None]
-        for kind in ("mean", "variance")
-    )
-    raw = capture.raw(1)
-    assert (found["dn"] == (np.moveaxis(raw, -1, 0) if raw.ndim == 3 else raw[None])).all()
-    assert found["mean"] == pytest.approx((mean - sensor.black_level) / sensor.gain, rel=6e-4, abs=1e-6)
-    assert found["noise"] == pytest.approx(np.sqrt(variance) / sensor.gain, rel=6e-4)
-    assert probe.header["per_dn"] is None  # a colour matrix mixes the channels
-    assert np.moveaxis(found["linear"], 0, -1) == pytest.approx(capture.linear16(1), rel=6e-4, abs=1e-7)
-    assert np.moveaxis(found["linear_mean"], 0, -1) == pytest.approx(capture.clean_linear(1), rel=6e-4, abs=1e-7)
-    assert probe.header["cfa"] == sensor.cfa
-
-
-def test_signals_beyond_half_precision_keep_their_scale(captures: dict[str, Capture], monkeypatch: Any) -> None:
-    capture = captures["chips"]
-    bright = np.full((24, 32, 3), 5e6, np.float32)
-    bright[0, 0] = 2e5
-    monkeypatch.setattr(type(capture), "truth", lambda self, i, kind: bright)
-    probe = probe_of(capture, 0)
-    assert probe is not None
-    mean = planes(probe.header, probe.data)["mean"]
-    assert capture.sensor is not None
-    assert mean[0, 1, 1] == pytest.approx((5e6 - 512) / capture.sensor.gain, rel=1e-3)
-    assert mean[0, 0, 0] == pytest.approx((2e5 - 512) / capture.sensor.gain, rel=1e-3)
-
-
-@pytest.mark.parametrize("name", ["chips", "mosaic"])
-def test_the_histogram_counts_the_electrons_of_each_filter(captures: dict[str, Capture], name: str) -> None:
-    capture = captures[name]
-    assert capture.sensor is not None
-    found = histogram(capture, [0, 2])
-    assert found is not None
-    green = []
-    for view in ("0000", "0002"):
-        truth, _ = read_exr(capture.path / "truth" / f"{view}.exr")
-        if name == "chips":
-            green.append(truth["clean.G"].ravel())
-        else:  # RGGB
-            green += [truth["clean"][0::2, 1::2].ravel(), truth["clean"][1::2, 0::2].ravel()]
-    electrons = (np.concatenate(green) - capture.sensor.black_level) / capture.sensor.gain
-    lines = {line["name"]: line["points"] for line in plot(found["chart"])["lines"]}
-    assert list(lines) == ["red", "green", "blue"]
-    shares = np.array([float(point[3].rstrip("%")) / 100 for point in lines["green"]])
-    assert shares.sum() == pytest.approx(1, abs=0.01)
-    most = max(float(point[3].rstrip("%")) for line in lines.values() for point in line)
-    beside = [float(text) for text in re.findall(r'text-anchor="end">([^<]*)<', found["chart"])]
-    assert 0.5 * most < max(beside) <= most + 0.01  # numbers of the axis, in percent
-    assert min(point[1] for line in lines.values() for point in line) == plot(found["chart"])["top"]
-    centres = np.array([float(point[2]) for point in lines["green"]])
-    assert (shares * centres).sum() == pytest.approx(electrons.mean(), rel=0.05)
-
-
-def test_pixels_of_a_mosaic_count_for_the_colour_of_their_filter() -> None:
-    found = by_filter(np.array([[1.0, 2.0], [3.0, 4.0]]), "GRBG")
-    assert [[v for v in channel if v == v] for channel in found.T.tolist()] == [[2.0], [1.0, 4.0], [3.0]]
-
-
-def plot(chart: str) -> Any:
-    import html
-
-    found = re.search(r'data-plot="([^"]*)"', chart)
-    assert found is not None
-    return json.loads(html.unescape(found[1]))
-
-
-@pytest.mark.parametrize(("logarithmic", "middle"), [(True, "10"), (False, "50.5")])
-def test_a_bin_of_a_chart_is_named_by_its_middle_on_the_axis(logarithmic: bool, middle: str) -> None:
-    chart = _chart({"red": np.array([1.0])}, np.array([1.0, 100.0]), "electrons", logarithmic=logarithmic)
-    ((_, _, named, _),) = plot(chart)["lines"][0]["points"]
-    assert named == middle
-
-
 def test_light_is_shown_at_the_exposures_of_the_dark_and_of_the_well_lit_pictures(captures: dict[str, Capture]) -> None:
     capture, rng = captures["chips"], np.random.default_rng(0)
     index = {name: i for i, name in enumerate(capture.names)}
@@ -393,3 +180,36 @@ def test_light_is_shown_at_the_exposures_of_the_dark_and_of_the_well_lit_picture
     assert of(lambda i: light[i]).lit == pytest.approx(8)  # whatever stands where the picture is white
     codes[:] = 1
     assert of(lambda i: light[i]).lit is None
+
+
+def test_the_best_method_is_marked_and_the_oracle_does_not_compete() -> None:
+    metrics = {"methods": {"nova": method(25.0, flip=0.2), "naive": method(20.0), "oracle": method(30.0)}}
+    values, competes = scores_of(metrics, "enhanced"), {"nova": True, "naive": True, "oracle": False}
+    marked = {
+        (row["method"], cell["key"])
+        for row in ranked(values, columns("enhanced"), competes)
+        for cell in row["cells"]
+        if cell["best"]
+    }
+    assert ("nova", "aligned_psnr") in marked
+    assert ("naive", "flip") in marked
+    assert not any(name == "oracle" for name, _ in marked)
+    assert not any(key == "lpips" for _, key in marked)
+    none = ranked(values, columns("enhanced"), competes, lambda name, key: False)
+    assert not any(cell["best"] or cell["rank"] for row in none for cell in row["cells"])
+    assert [row["competes"] for row in none] == [False, True, True]  # who is a bound stays known
+
+
+def method(value: float, **others: Any) -> dict[str, Any]:
+    scores = {"psnr": value - 1, "aligned_psnr": value, "ssim": 0.5, "aligned_ssim": 0.6, "flip": 0.1, "lpips": None}
+    return {"mean": {"enhanced": {**scores, **others}, "lit": {**scores, "tone_aligned_psnr": value / 2}}}
+
+
+def test_words_for_numbers() -> None:
+    assert [duration(s) for s in (0.04, 9.9, 59.6, 119.0, 150.0, 7260.0)] == [
+        "0.0 s", "9.9 s", "60 s", "119 s", "2 min 30 s", "2 h 01 min",
+    ]  # fmt: skip
+    assert [size(b) for b in (5e5, 2.5e9)] == ["0 MB", "2.5 GB"]
+    assert [join(w) for w in (["a"], ["a", "b"], ["a", "b", "c"])] == ["a", "a and b", "a, b and c"]
+    assert [number(v) for v in (1.234, None, "inf")] == ["1.23", "unavailable", "inf"]
+    assert [signed(v) for v in (1.0, -0.5)] == ["+1.00", "−0.50"]

@@ -1,5 +1,6 @@
 """Claims about how runs appear in a report: colours, the main run, deviations from the published method."""
 
+import colorsys
 from dataclasses import asdict
 from pathlib import Path
 from types import SimpleNamespace
@@ -11,7 +12,7 @@ from novags.methods import METHODS, chosen
 from novags.testbed.folders.run import Run
 from novags.testbed.ledger.contents import jsonable
 from novags.testbed.report import verdict
-from novags.testbed.report.rows import Deviation, deviations, distinct, enhancement_of, main_row, rows_of
+from novags.testbed.report.rows import Deviation, deviations, distinct, enhancement_of, looks_of, main_row, rows_of
 
 
 def run(name: str, *, cameras: str = "known", **settings: Any) -> Run:
@@ -121,3 +122,21 @@ def test_the_leader_is_compared_at_first_and_never_with_itself(
     bound = {"floor": floor}.__getitem__
     material = SimpleNamespace(bound=bound, main="nova-fast", rows=rows, metrics=metrics, one_reference=True)
     assert verdict.compared(material) == shown  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("color", "light"), [("#000000", 0.3), ("#0072b2", 0.349 + 0.14), ("#303030", 0.188 + 0.14)])
+def test_a_made_up_colour_is_a_little_lighter_and_neither_dark_nor_pale(color: str, light: float) -> None:
+    made = distinct(color, [color])
+    red, green, blue = (int(made[i : i + 2], 16) / 255 for i in (1, 3, 5))
+    assert colorsys.rgb_to_hls(red, green, blue)[1] == pytest.approx(light, abs=0.01)
+
+
+def test_every_method_variant_and_program_of_a_study_has_a_look_of_its_own() -> None:
+    study = {"variant": {"mine": {"method": "naive", "fit": {"iterations": 3}}, "other": {"method": "oracle"}},
+             "method": {"theirs": {}}}  # fmt: skip
+    found = looks_of(["naive", "mine", "theirs", "other", "gone"], study)
+    assert [(row.name, row.method) for row in found.values()] == [
+        ("naive", "naive"), ("mine", "naive"), ("theirs", "theirs"), ("other", "oracle"), ("gone", "gone")
+    ]  # fmt: skip
+    assert [row.competes for row in found.values()] == [True, True, True, False, True]
+    assert len({row.color for row in found.values()}) == len({row.key for row in found.values()}) == 5

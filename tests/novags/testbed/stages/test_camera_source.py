@@ -17,7 +17,7 @@ from novags.testbed import stages
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.stages import camera_source
-from novags.testbed.stages.camera_source import CoordinateFrame, cameras_of
+from novags.testbed.stages.camera_source import CoordinateFrame, cameras_of, views_of
 from novags.testbed.stages.seen import SEEN
 from novags.testbed.stages.seen.raw import codes
 from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
@@ -201,3 +201,11 @@ def test_the_seed_reaches_the_pictures_for_matching_and_the_source(
             config, opened, opened.source(Console(quiet=True)), [0, 1], 5, 7, torch.device("cpu"), Console(quiet=True)
         )
     assert seeds == [7, 7]
+
+
+@pytest.mark.parametrize("chosen", [None, [2, 0]])
+def test_all_cameras_or_the_chosen_ones_in_their_order_are_views(rig: Rig, chosen: list[int] | None) -> None:
+    which = range(len(rig.viewmats)) if chosen is None else chosen
+    found = views_of(rig, chosen)
+    np.testing.assert_allclose(found.viewmats, rig.viewmats[list(which)], atol=1e-6)
+    np.testing.assert_allclose(found.Ks, rig.Ks[list(which)], rtol=1e-6)

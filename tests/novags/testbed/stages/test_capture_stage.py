@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -16,6 +17,7 @@ from novags.testbed import stages
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import open_capture
 from novags.testbed.folders.set import Source
+from novags.testbed.stages import planning
 from novags.testbed.stages.configs.capturing import CaptureConfig
 from novags.testbed.stages.planning import PILOT, sensor_plan
 from sensor_model import PRESETS, read_sensor, srgb_to_linear, write_sensor
@@ -331,3 +333,10 @@ def test_a_scene_without_light_is_named_by_its_plan_and_not_the_folder_of_the_pi
     said = f"^the green channel of the scene {file} is black, .* add an emitter .* check that one"
     with pytest.raises(ValueError, match=said):
         sensor_plan(replace(PILOT, scene=str(file)), config, 1, QUIET)
+
+
+def test_the_range_of_the_signal_is_told_from_the_darkest_to_the_brightest(monkeypatch: pytest.MonkeyPatch) -> None:
+    light = SimpleNamespace(signal_e=np.array([1.0, 2.0, 3.0, 5.0, 9.0]), plan=None)
+    monkeypatch.setattr(planning, "meter", lambda *_: light)
+    nothing: Any = None
+    assert planning._plan(nothing, nothing, None, QUIET) == (None, {"darkest": 1.0, "median": 3.0, "brightest": 9.0})

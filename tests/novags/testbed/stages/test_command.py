@@ -50,11 +50,11 @@ def method(folder: Path, code: str, more: str = "", **settings: object) -> Comma
 def test_a_program_makes_a_run_that_is_scored_and_exported_like_any_other(capture: Path, tmp_path: Path) -> None:
     awkward = "'two words; $HOME `date` {seed}' \"*\""
     run = tmp_path / "run"
-    record = run_command(capture, run, method(tmp_path, BRIGHTEN, awkward), QUIET)
+    record = run_command(capture, run, replace(method(tmp_path, BRIGHTEN, awkward), seed=3), QUIET)
     seen, words, where = json.loads((tmp_path / "seen.json").read_text())
     assert {"capture.json", "images", "images16", "raw", "transforms.json", "sparse", "test_list.txt"} <= set(seen)
     assert not {"truth", "lit"} & set(seen)
-    assert words[3:] == ["two words; $HOME `date` 0", "*"]  # as they stand: no shell has looked at them
+    assert words[3:] == ["two words; $HOME `date` 3", "*"]  # as they stand: no shell has looked at them
     assert Path(where) == tmp_path.resolve()
     assert not (run / ".work").exists()
     assert record["seconds"]["command"] > 0.5

@@ -98,3 +98,13 @@ def test_another_seed_adapts_to_other_crops(capture: Path, tmp_path: Path) -> No
         cv2.imread(str(tmp_path / str(seed) / "linear" / "0000.png"), cv2.IMREAD_UNCHANGED) for seed in (3, 4)
     )
     assert not np.array_equal(one, other)
+
+
+@pytest.mark.parametrize("change", [{"sensor": "imx900-hcg"}, {"time": 2.0}, {"black": 9.0}, {"white": 900.0},
+                                    {"curve": "srgb"}, {"demosaic": "bilinear"}, {"max_size": 30}])  # fmt: skip
+def test_every_setting_of_an_import_is_its_own_part_of_the_request(change: dict[str, Any]) -> None:
+    plain = ImportConfig(black=64.0, white=1000.0)
+    other = replace(plain, **change)
+    before, after = plain.resolved(), other.resolved()
+    assert {name: after[name] for name in before if after[name] != before[name]}.items() >= change.items()
+    assert (other.codes.black, other.codes.white, other.codes.curve) == (other.black, other.white, other.curve)

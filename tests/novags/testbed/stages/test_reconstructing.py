@@ -1,9 +1,12 @@
 """Claims about what a reconstruction depends on, and where its seed goes; nothing is reconstructed."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 
@@ -12,6 +15,7 @@ from novags.testbed import stages
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import open_capture
 from novags.testbed.stages import reconstructing
+from novags.testbed.stages.configs import reconstructing as module
 from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
 
 QUIET = Console(quiet=True)
@@ -55,3 +59,67 @@ def test_a_run_depends_on_its_capture_its_set_and_the_files_of_its_settings(
         found.append(asked["opened"])
     assert found[0].keys() == found[1].keys() > {"capture", "set"}
     assert {name for name in found[0] if found[0][name] != found[1][name]} == found[0].keys() - {"capture", "set"}
+
+
+def test_every_training_view_is_prepared_with_all_that_is_known_of_it(capture: Path) -> None:
+    opened = open_capture(capture)
+    config = replace(adapted(EXPERIMENTS["demo"]).reconstruct("oracle"), points=50)
+    problem = reconstructing.prepare(opened, opened.source(QUIET), config, QUIET).problem
+    train = opened.cameras.train_indices
+    assert problem.names == tuple(opened.names[i] for i in train)
+    assert problem.raw is not None
+    held = ((problem.srgb8, opened.srgb8), (problem.linear16, opened.linear16), (problem.clean, opened.clean),
+            (problem.raw.dn, opened.raw))  # fmt: skip
+    for found, read in held:
+        np.testing.assert_array_equal(found, np.stack([read(i) for i in train]).astype(np.float32))
+    assert (problem.raw.cfa, problem.raw.black, problem.raw.white) == opened.levels
+    assert problem.raw.black < problem.raw.white
+    lit = opened.source(QUIET)
+    each = [float(np.mean(lit.lit(i) @ [0.299, 0.587, 0.114])) for i in train]
+    assert reconstructing.lit_mean(lit, train) == pytest.approx(np.mean(each))
+    assert len({round(value, 6) for value in each}) == len(each)
+
+
+def test_a_run_has_a_camera_of_every_training_view_and_a_picture_of_every_view(
+    capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The method is one that trains nothing."""
+    opened, drawn = open_capture(capture), list[tuple[int, Any]]()
+    config = replace(adapted(EXPERIMENTS["demo"], seed=7).reconstruct("naive"), points=50)
+    prepared = reconstructing.prepare(opened, opened.source(QUIET), config, QUIET)
+    result = SimpleNamespace(viewmats=None, save=lambda folder: None, space="lit", enhancement=None, found=None,
+                             config=config.config, scene=SimpleNamespace(facts=dict), seconds={}, enhanced=None,
+                             targets=None)  # fmt: skip
+    method = SimpleNamespace(parts=None, train=lambda *_, **__: result, sees_clean=False, sees_surface=False)
+    monkeypatch.setattr(reconstructing, "METHODS", {"naive": method})
+    monkeypatch.setattr(
+        reconstructing, "write_rendering", lambda folder, capture, i, result, view: drawn.append((i, view))
+    )
+    record = reconstructing.reconstruct_views(opened, prepared, tmp_path, config, QUIET)
+    train = [opened.names[i] for i in opened.cameras.train_indices]
+    listed = json.loads((tmp_path / "cameras.json").read_text())
+    assert [camera["img_name"] for camera in listed] == train == record["cameras"]["registered"]
+    assert len({str(camera["position"]) for camera in listed}) == len(train)
+    assert [i for i, _ in drawn] == list(range(len(opened.names)))
+    for i, view in drawn:
+        np.testing.assert_allclose(view.viewmats[0], opened.cameras.rig.viewmats[i], atol=1e-5)
+    assert (record["seed"], record["training_views"]) == (7, len(train))
+
+
+@pytest.mark.parametrize("changed", ["a.pt", "b.pt"])
+def test_each_file_that_settings_name_counts_and_its_neighbours_do_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, changed: str
+) -> None:
+    for name in ("a.pt", "b.pt"):
+        (tmp_path / name).write_text(name)
+    named = {"weights": (tmp_path / "a.pt", tmp_path / "b.pt")}
+    config: Any = SimpleNamespace(config="settings", cameras="source")
+    monkeypatch.setattr(module, "refuse_lost_files", lambda *_: None)
+    monkeypatch.setattr(module, "files_among", lambda part: named if part == "settings" else {})
+    before = module.files_of(config)
+    (tmp_path / "beside.pt").write_text("no setting names it")
+    assert module.files_of(config) == before
+    (tmp_path / changed).write_text("other")
+    after = module.files_of(config)
+    assert after.keys() == before.keys() == {"weights: a.pt", "weights: b.pt"}
+    assert {name for name in after if after[name] != before[name]} == {f"weights: {changed}"}

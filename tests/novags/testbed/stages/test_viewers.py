@@ -10,7 +10,7 @@ import torch
 
 from novags.splats import Gaussians, Views, read_ply, write_ply
 from novags.testbed.stages.camera_source import viewer_cameras
-from novags.testbed.stages.viewers import write_viewers
+from novags.testbed.stages.viewers import viewer_files, write_viewers
 from simscenes import orbit_rig
 
 
@@ -52,3 +52,6 @@ def test_formats_are_written_beside_the_run_on_request(tmp_path):
     assert json.loads((out / "cameras.json").read_text()) == [{"id": 0}]
     with pytest.raises(ValueError, match="export must be among 3dgs, splat, spz, spz2; got obj"):
         write_viewers(tmp_path, ("obj",))
+    assert viewer_files(tmp_path, ("splat", "3dgs")) == [
+        out / "scene.splat", out / "point_cloud.ply", out / "cameras.json"
+    ]  # fmt: skip

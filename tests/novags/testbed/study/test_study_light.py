@@ -14,7 +14,7 @@ import pytest
 from novags.testbed.report.page import write_study
 from novags.testbed.report.rows import looks_of
 from novags.testbed.report.study import is_study
-from novags.testbed.study.light import MEASURES, Measure, common_knee, knee_of, light_curves
+from novags.testbed.study.light import MEASURES, Measure, _knee, common_knee, knee_of, light_curves
 
 FALL = Measure("psnr", "enhanced.aligned_psnr", "PSNR", "dB", "below", 3.0)
 RISE = Measure("depth", "geometry.abs_rel", "depth", "", "above", 2.0)
@@ -275,3 +275,22 @@ def test_what_sees_truth_by_the_settings_of_the_study_is_a_bound_and_what_does_n
     assert bounds == {"i2-nerf": False, "i2-nerf-truth": True, "peek": True, "blind": False, "again": True}
     for_all = looks_of(["naive", "i2-nerf", "blind"], {"variant": own, "override": {"truth_statistics": "true"}})
     assert [look.competes for look in for_all.values()] == [True, False, True]
+
+
+def test_every_other_axis_is_part_of_the_place_of_a_curve() -> None:
+    rows = [row(e, m, s, 20 + e, scene=scene, sensor=sensor) for e in (1, 4) for m in "ab" for s in (0, 1)
+            for scene in "uv" for sensor in ("x", "y")]  # fmt: skip
+    more = {"scene": list("uv"), "sensor": ["x", "y"], **{name: axes(rows)[name] for name in ("electrons", "method")}}
+    curves = light_curves(rows, {**more, "seed": [0, 1]})
+    assert [(c.place, c.method) for c in curves] == [
+        ({"scene": scene, "sensor": sensor}, method) for method in "ab" for scene in "uv" for sensor in ("x", "y")
+    ]
+    assert {len(level.values) for c in curves for level in c.levels} == {2}
+
+
+def test_the_knee_of_all_seeds_counts_all_and_those_that_are_unknown() -> None:
+    seeds = [{1.0: 10.0, 4.0: 30.0}, {1.0: 10.0, 4.0: None}, {1.0: 30.0, 4.0: 30.0}, {1.0: 20.0, 4.0: 30.0}]
+    found = _knee(seeds, 4.0, FALL)
+    assert (found.seeds, found.broken, found.unknown) == (4, 2, 1)
+    known = [knee_of(seeds[k], FALL) for k in (0, 3)]
+    assert (found.low, found.high) == (min(known), max(known))  # type: ignore[type-var]

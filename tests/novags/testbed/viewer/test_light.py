@@ -4,6 +4,8 @@ import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,9 +14,10 @@ import torch
 from novags.splats import read_ply, write_ply
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import open_capture
-from novags.testbed.viewer.light import GREY, expose_again
+from novags.testbed.stages.configs.capturing import CaptureConfig
+from novags.testbed.viewer.light import GREY, ViewerCamera, expose_again
 from novags.testbed.viewer.shown import Shown, shown_of
-from sensor_model import PRESETS, develop, expose, mosaic, photons_for_electrons, srgb_to_linear
+from sensor_model import PRESETS, Exposure, develop, expose, mosaic, photons_for_electrons, srgb_to_linear
 from simscenes.sets.pictures.exr import read_exr, write_exr
 from simscenes.sets.pictures.png import read_png
 
@@ -147,3 +150,45 @@ def test_a_black_run_in_linear_light_is_shown_black(runs: Runs, tmp_path: Path) 
     (shown,) = shown_of([first], QUIET)
     assert shown.scene("naive")[2].colors.max() < 1e-3  # type: ignore[index]
     assert np.all(shown.picture("rendered", "naive", 2) == 0)
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+@pytest.mark.parametrize("config", [None, CaptureConfig(sensor="imx900-hcg", seed=9)])
+@pytest.mark.parametrize("known", [True, False])
+def test_the_noise_has_the_seed_of_the_capture_whatever_camera_is_chosen(
+    seed: int, config: CaptureConfig | None, known: bool
+) -> None:
+    own = PRESETS["a7s2-iso6400-3chip"] if known else None
+    record = SimpleNamespace(simulated=SimpleNamespace(noise_seed=seed), color_matrix=None, demosaic="menon")
+    capture: Any = SimpleNamespace(record=record, sensor=own, exposure=Exposure(time=1.0), imported=None)
+    source: Any = SimpleNamespace(color_matrix=None, response=None)
+    camera = ViewerCamera.of(capture, source, config)
+    assert camera.seed == seed
+    assert (camera.sensor is own) == (known and config is None)
+
+
+def test_the_seed_of_the_camera_and_the_view_fix_the_noise_of_an_exposure() -> None:
+    light = np.full((24, 32, 3), 0.5)
+    camera = ViewerCamera(PRESETS["a7s2-iso6400-3chip"], Exposure(time=1.0), "menon", None, 3)
+
+    def taken(seed: int, view: int) -> bytes:
+        picture, _ = expose_again(light, replace(camera, seed=seed), electrons=5.0, mean_green=0.5, view=view)
+        return bytes(picture.tobytes())
+
+    assert taken(3, 1) == taken(3, 1)
+    assert len({taken(3, 1), taken(4, 1), taken(3, 2)}) == 3
+
+
+def test_each_run_has_its_own_light_and_its_own_scene() -> None:
+    """Both are kept in memory once they are found, the one beside the other."""
+    light = {"a": {"0": 0.125, "1": 0.375}, "b": {"0": 0.5, "1": 1.0}}
+    runs = {name: SimpleNamespace(space="linear", shows_training_views=True,
+                                  rendering=lambda view, name=name: np.full((2, 2, 3), light[name][view]))
+            for name in light}  # fmt: skip
+    capture: Any = SimpleNamespace(cameras=(0, 1), names=("0", "1"))
+    nothing: Any = None
+    shown = Shown("t", capture, nothing, runs, nothing, nothing)  # type: ignore[arg-type]
+    for _ in range(2):
+        assert [shown.run_green(name) for name in "ab"] == [0.25, 0.75]
+        scenes = [shown.memo.once(("scene", name), lambda name=name: f"scene of {name}") for name in "ab"]
+        assert scenes == [shown.scene(name) for name in "ab"] == ["scene of a", "scene of b"]

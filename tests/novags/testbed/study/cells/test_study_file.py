@@ -8,7 +8,7 @@ import pytest
 from novags.cameras.sources.sfm import SfmConfig
 from novags.cameras.sources.vggsfm import VggsfmConfig
 from novags.testbed.study.cells.grid import Study, read_study
-from novags.testbed.study.cells.presets import EXPERIMENTS
+from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
 from sensor_model import PRESETS as SENSORS
 from sensor_model import write_sensor
 
@@ -345,3 +345,15 @@ def test_axes_that_make_too_many_runs_together_are_refused_before_they_are_made(
         (tmp_path / "study.toml").write_text(f"[grid]\n{axes}\n")
         with pytest.raises(ValueError, match=f"{count}.*split the study"):
             read_study(tmp_path / "study.toml")
+
+
+def test_without_a_seed_of_its_own_a_study_has_that_of_its_preset(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(EXPERIMENTS, "mine", adapted(EXPERIMENTS["demo"], seed=4))
+    text = '[grid]\nmethod = ["naive"]\n'
+    for head, seed in (('preset = "mine"\n', 4), ('preset = "demo"\n', 0)):
+        study = read(tmp_path, head + text)
+        assert study.axes["seed"] == (seed,)
+        assert [cell.preset.capture.seed for cell in study.cells] == [seed]
+    assert read(tmp_path, f'preset = "mine"\n{text}[override]\nseed = 6\n').axes["seed"] == (6,)

@@ -2,11 +2,14 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
+import torch
 
 from novags.methods import METHODS
+from novags.methods.gaussian_scene import GaussianScene
 from novags.methods.knob import MethodKnob
 from novags.methods.variant import parse_variant
 from novags.settings import flattened
@@ -15,6 +18,7 @@ from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
 from novags.testbed.study.curves.curve import read_curves
 from novags.testbed.study.curves.measuring import measurements_of
 from novags.testbed.study.curves.study import STUDIES
+from novags.testbed.study.knobs import methods as of_methods
 from novags.testbed.study.knobs import reconstruction
 from novags.testbed.study.knobs.knob import Knob, Reading, Setting, Subject
 from novags.testbed.study.knobs.reconstruction import PresetBench, parts_of
@@ -185,3 +189,129 @@ def test_variants_can_be_given_the_settings_of_a_row() -> None:
     text = ";".join(f"{name}={','.join(map(str, v)) if isinstance(v, tuple) else v}" for name, v in width.items())
     config = parse_variant(f"thin=nova:{text}").config(METHODS["nova"].config(), {})
     assert (config.denoiser.network.widths, config.denoiser.network.bottleneck) == ((8, 16, 32), 48)
+
+
+def test_a_splat_is_dilated_by_as_much_of_the_picture_at_the_full_size(monkeypatch: pytest.MonkeyPatch) -> None:
+    dilations: list[float] = []
+
+    def render(scene: GaussianScene, views: Any) -> Any:
+        dilations.append(scene.eps2d)
+        return torch.zeros(1, 4, 4, 3), None, None
+
+    frame = SimpleNamespace(of=lambda *given: SimpleNamespace(view=lambda i, device: None))
+    monkeypatch.setattr(GaussianScene, "render", render)
+    monkeypatch.setattr(reconstruction, "CoordinateFrame", frame)
+    monkeypatch.setattr(reconstruction, "pictured", lambda run, capture, rendered: rendered)
+    monkeypatch.setattr(reconstruction, "enhanced_truth", lambda *given: None)
+    monkeypatch.setattr(reconstruction, "aligned_psnr", lambda *given: 20.0)
+    rigs = (SimpleNamespace(rig=SimpleNamespace(width=width), test_indices=[0]) for width in (16, 48))
+    small, whole = (SimpleNamespace(cameras=rig) for rig in rigs)
+    result: Any = SimpleNamespace(scene=GaussianScene(None, 0.3, False), enhancement={}, viewmats=None)
+    prepared: Any = SimpleNamespace(indices=[], estimate=None, device="cpu")
+    assert reconstruction.held_out_error(result, prepared, small, whole) == pytest.approx(10.0)  # 20 dB below white
+    assert dilations == [pytest.approx(9 * 0.3)]  # px^2, three times as many px
+
+
+def test_every_held_out_view_counts_in_the_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    scores = {2: 10.0, 5: None, 7: 30.0}
+    scene = SimpleNamespace(render=lambda view: (torch.full((1, 2, 2, 3), float(view)), None, None))
+    frame = SimpleNamespace(of=lambda *given: SimpleNamespace(view=lambda i, device: i))
+    monkeypatch.setattr(reconstruction, "CoordinateFrame", frame)
+    monkeypatch.setattr(reconstruction, "pictured", lambda run, capture, rendered: rendered)
+    monkeypatch.setattr(reconstruction, "enhanced_truth", lambda truth, i, enhancement: i)
+    monkeypatch.setattr(reconstruction, "aligned_psnr", lambda image, i: scores[i] if image.mean() == i else -1.0)
+    cameras = SimpleNamespace(rig=SimpleNamespace(width=16), test_indices=[2, 5, 7])
+    capture: Any = SimpleNamespace(cameras=cameras, path=HERE)
+    result: Any = SimpleNamespace(scene=scene, enhancement={}, viewmats=None)
+    prepared: Any = SimpleNamespace(indices=[], estimate=None, device="cpu")
+    assert reconstruction.held_out_error(result, prepared, capture, capture) == pytest.approx(10.0)  # 20 dB on average
+    cameras.test_indices = [5]
+    with pytest.raises(ValueError, match="has contrast"):
+        reconstruction.held_out_error(result, prepared, capture, capture)
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+def test_the_seed_is_that_of_the_scene_and_of_the_noise_whatever_is_turned(seed: int, asked: Asked) -> None:
+    bench = PresetBench(adapted(EXPERIMENTS["demo"], methods=("naive",)))
+    rows = (MethodKnob(option="iterations", shares=(0.5, 1.0), why="so", parts=()), SHAPE)
+    for preset in (bench.plain(seed), *(bench.preset(row, "low" if row is SHAPE else 9, seed) for row in rows)):
+        assert (preset.render.scene, preset.capture.seed) == (f"{reconstruction.SCENE}:{seed}", seed)
+    turned = bench.knob("iterations", rows[0])
+    turned.measure(turned.settings[0], seed, HERE)
+    assert asked.seeds == [(f"{reconstruction.SCENE}:{seed}", seed)]
+
+
+@pytest.mark.parametrize("option", ["iterations", "spp", "size"])
+def test_a_measurement_prepares_and_scores_the_experiment_of_its_seed(
+    option: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Nothing is trained: what would be is written down."""
+    seen = dict[str, Any]()
+    bench = PresetBench(adapted(EXPERIMENTS["demo"], methods=("naive",)))
+    row = MethodKnob(option=option, shares=(0.5, 1.0), why="so", parts=())
+
+    def photographed(preset: Any, folder: Path) -> Any:
+        seen["photographed"] = preset
+        (folder / "set").mkdir(parents=True)
+        (folder / "set" / "set.json").write_text('{"seconds": {"load": 1.0, "radiance": 3.0}}')
+        return SimpleNamespace(name="turned", source=lambda console: None)
+
+    def prepare(capture: Any, source: Any, config: Any, console: Any) -> str:
+        seen.update(prepared=(capture.name, config))
+        return "prepared"
+
+    def error(result: Any, prepared: Any, capture: Any, truth: Any) -> float:
+        seen["scored"] = (capture.name, truth.name)
+        return 0.5
+
+    plain = SimpleNamespace(name="plain", source=lambda console: None)
+    monkeypatch.setattr(reconstruction, "open_capture", lambda folder: plain)
+    monkeypatch.setattr(reconstruction, "photographed", photographed)
+    monkeypatch.setattr(reconstruction, "prepare", prepare)
+    monkeypatch.setattr(reconstruction, "timed", lambda prepared, config: ((2.0, 4.0), {"fit": 3.0}, None))
+    monkeypatch.setattr(reconstruction, "held_out_error", error)
+    found = bench.measure(row, 16, 5, tmp_path)
+    name, config = seen["prepared"]
+    assert config.seed == 5
+    assert found.error == 0.5
+    assert found.parts["fit"] == 3.0
+    if option == "iterations":
+        assert (name, seen["scored"]) == ("plain", ("plain", "plain"))
+        assert (found.seconds, found.cpu_seconds) == (2.0, 4.0)
+    else:
+        assert seen["photographed"].render.scene == f"{reconstruction.SCENE}:5"
+        assert seen["photographed"].capture.seed == 5
+        assert (name, seen["scored"]) == ("turned", ("turned", "plain" if option == "size" else "turned"))
+
+
+def test_the_modules_of_a_bench_are_those_of_every_setting_of_every_knob(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A setting may turn to another enhancer, whose code then counts."""
+    turns = {"own": {"enhance.window": 9}, "other": {"enhance.window": 11}}
+    monkeypatch.setitem(METHODS, "mine", replace(METHODS["naive"], knobs={
+        "shape": SHAPE, "window": MethodKnob(settings=turns, why="so", parts=())}))  # fmt: skip
+    used = list[str]()
+    plain = PresetBench.preset
+
+    def preset(bench: PresetBench, row: MethodKnob, setting: Setting, seed: int) -> Any:
+        used.append(str(setting))
+        return plain(bench, row, setting, seed)
+
+    monkeypatch.setattr(PresetBench, "preset", preset)
+    bench = PresetBench(adapted(EXPERIMENTS["demo"], methods=("mine",)))
+    found = bench.modules()
+    assert used == ["low", "own", "own", "other"]
+    code = bench.reconstruct.code
+    assert set(code.roots) <= set(found)
+    assert set(bench.base.render.code.roots) <= set(found)
+    assert found[0] == reconstruction.__name__
+
+
+@pytest.mark.parametrize("k", range(3))
+def test_a_method_is_measured_as_the_first_variant_of_it_wherever_that_stands(
+    k: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = [("nova-fast", "nova"), ("naive-l1", "naive"), ("oracle", "oracle")]
+    monkeypatch.setattr(of_methods, "PRESET", SimpleNamespace(methods=tuple(name for name, _ in names)))
+    variant, method = names[k]
+    assert of_methods.measured_as(method) == variant
+    assert of_methods.measured_as("gamma") == "gamma"

@@ -161,3 +161,32 @@ def test_what_a_run_does_not_have_is_not_scored(dark, tmp_path, monkeypatch):
     assert noise_scores(run, capture, lit)["renders"] is None
     run.enhancement = None
     assert noise_scores(run, capture, lit) is None
+
+
+def test_each_capture_and_each_enhancement_has_a_bias_floor_of_its_own(dark, monkeypatch):
+    """Whatever of the key is another: the capture, the settings, the weights that they name."""
+    monkeypatch.setattr(module, "_FLOORS", Memo())
+    monkeypatch.setattr(module, "bias_floor", lambda *given: len(made))
+    monkeypatch.setattr(module, "stamps", lambda config: tuple(stamp))
+    made, stamp, (capture, source) = [], ["w"], dark
+    for other, settings, weights in ((capture, ENHANCEMENT, "w"), (replace(capture, content="x"), ENHANCEMENT, "w"),
+                                     (capture, enhancement_record(CONFIG, "16bit"), "w"),
+                                     (capture, ENHANCEMENT, "v")):  # fmt: skip
+        stamp[:] = [weights]
+        made.append(module._floor_of(other, source, settings))
+    assert made == [0, 1, 2, 3]
+    stamp[:] = ["w"]
+    assert module._floor_of(capture, source, ENHANCEMENT) == 0
+
+
+def test_another_seed_exposes_a_view_otherwise_and_the_same_alike(dark):
+    capture, source = dark
+    first, again, other = (exposed_again(capture, source, 1, seed, "8bit") for seed in (5, 5, 6))
+    np.testing.assert_array_equal(first, again)
+    assert (first != other).any()
+
+
+def test_the_mean_is_of_all_values_that_are_known():
+    assert module._mean([None, 1.0, None, 4.0]) == 2.5
+    assert module._mean([None, None]) is None
+    assert module._mean([]) is None

@@ -10,7 +10,7 @@ import torch
 
 from novags.splats.raster import raster_torch
 from novags.testbed.study.knobs.splat_engine import child
-from novags.testbed.study.knobs.splat_engine.scene import NAMES
+from novags.testbed.study.knobs.splat_engine.scene import NAMES, cube_scene, reference
 
 splats = import_module("novags.testbed.study.knobs.splats")  # the package's own name is the subject
 
@@ -71,3 +71,39 @@ def test_the_truth_of_another_seed_is_another_picture(
     assert pictures[0].shape == (8, 8, 3)
     assert np.array_equal(pictures[0], pictures[1])
     assert not np.allclose(pictures[0], pictures[2])
+
+
+def test_another_seed_draws_another_scene_and_another_picture() -> None:
+    first, again, other = (cube_scene(6, 8, seed) for seed in (3, 3, 4))
+    for name in NAMES:
+        assert torch.equal(first[name], again[name])
+        assert not torch.equal(first[name], other[name])
+    pictures = [reference(12, 8, seed, exact=False) for seed in (3, 3, 4)]
+    assert torch.equal(pictures[0], pictures[1])
+    assert not torch.allclose(pictures[0], pictures[2])
+
+
+@pytest.mark.parametrize("knob", ["eps2d", "backend"])
+def test_a_setting_is_measured_on_the_scene_of_its_seed_against_the_truth_of_it(
+    knob: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = list[dict[str, Any]]()
+
+    def in_child(order: dict[str, Any], code: str) -> dict[str, Any]:
+        asked.append(order)
+        if order["do"] == "truth":
+            Path(order["out"]).write_bytes(f"truth of {order['seed']}".encode())
+        else:
+            assert Path(order["truth"]).read_bytes() == f"truth of {order['seed']}".encode()
+        return {"seconds": 1.0, "cpu_seconds": 1.0, "error": 0.0}
+
+    monkeypatch.setattr(splats, "in_child", in_child)
+    splats.truth.cache_clear()
+    (turned,) = [each for each in splats.splats(8, 16).knobs if each.name == knob]
+    for seed in (5, 6):
+        turned.measure(turned.settings[0], seed, None)
+    splats.truth.cache_clear()
+    assert [(order["do"], order["seed"]) for order in asked] == [
+        ("truth", 5), ("measure", 5), ("truth", 6), ("measure", 6)
+    ]  # fmt: skip
+    assert {(order["n"], order["size"]) for order in asked} == {(8, 16)}

@@ -167,3 +167,9 @@ def test_the_light_of_a_set_is_that_of_its_exposure(exposure: float, tmp_path: P
     (tmp_path / "set" / "set.json").write_text(json.dumps({"kind": "rendered", "exposure_scale": exposure}))
     found = Truth.of(tmp_path / "set", QUIET).reader("linear")(0)
     np.testing.assert_allclose(found, np.float32(exposure * light)[..., None].repeat(3, -1), rtol=1e-6)
+
+
+def test_the_views_that_count_are_all_held_out_ones_of_a_set_and_of_a_capture(photographs: Path, capture: Path) -> None:
+    for folder in (photographs, capture):
+        truth = Truth.of(folder, QUIET)
+        assert (truth.indices, truth.names) == ((0, 8), ("0000", "0008"))

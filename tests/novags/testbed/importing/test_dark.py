@@ -1,0 +1,52 @@
+"""Claims about dark photographs: which files they are, and where they are found."""
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from novags.testbed.importing.dark import Dark, _raws_beside, _with_pictures
+
+
+def dark(folder: Path) -> Dark:
+    """Two views, of which each has a raw file, and points."""
+    folder.mkdir()
+    for name in ("transforms.json", "a.png", "b.png", "a.dng", "b.dng", "points.ply"):
+        (folder / name).write_text(name)
+    views = SimpleNamespace(path=folder, names=("a", "b"), files=(folder / "a.png", folder / "b.png"),
+                            points_file=folder / "points.ply")  # fmt: skip
+    source: Any = SimpleNamespace(views=views)
+    return Dark(source, "8bit", (folder / "a.dng", folder / "b.dng"))
+
+
+@pytest.mark.parametrize("name", ["a.png", "b.png", "a.dng", "b.dng", "points.ply", "transforms.json"])
+def test_every_file_that_is_read_counts_and_no_other(tmp_path: Path, name: str) -> None:
+    found = dark(tmp_path / "dark")
+    before = found.digest()
+    (tmp_path / "dark" / "notes.txt").write_text("mine")
+    assert found.digest() == before
+    (tmp_path / "dark" / name).write_text("another")
+    assert found.digest() != before
+
+
+def test_the_raw_file_of_each_view_is_found_and_one_that_is_missing_is_named(tmp_path: Path) -> None:
+    names = ("a", "b", "c")
+    for name in names:
+        for file in (tmp_path / "images" / f"{name}.png", tmp_path / "raw" / f"{name}.dng"):
+            file.parent.mkdir(exist_ok=True)
+            file.touch()
+    views = SimpleNamespace(path=tmp_path, names=names, files=tuple(tmp_path / "images" / f"{n}.png" for n in names))
+    source: Any = SimpleNamespace(views=views)
+    assert [path.name for path in _raws_beside(tmp_path, source)] == ["a.dng", "b.dng", "c.dng"]
+    (tmp_path / "raw" / "c.dng").unlink()
+    with pytest.raises(ValueError, match="c"):
+        _raws_beside(tmp_path, source)
+
+
+def test_all_folders_that_hold_pictures_are_found_and_none_inside_another(tmp_path: Path) -> None:
+    for name in ("a/1.png", "b/images/2.png", "c/d/3.png", "c/e/images/4.png", "a/f/5.png", "g/notes.txt", ".h/6.png"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).touch()
+    found = [path.relative_to(tmp_path).as_posix() for path in _with_pictures(tmp_path)]
+    assert found == ["a", "b", "c/d", "c/e"]

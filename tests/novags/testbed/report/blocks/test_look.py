@@ -1,0 +1,40 @@
+"""Claims about the pictures of a page: every place, view and run has its own."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from novags.testbed.report.blocks import look as module
+from novags.testbed.report.blocks.look import look
+
+RUNS = {"one": ("a", "b"), "two": ("b", "c")}
+
+
+def test_every_view_of_every_place_is_shown_and_every_run_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    def tiles(i: int, place: Any, album: Any, called: str) -> Any:
+        keys = [*(f"render-{run}" for run in place.runs), f"map{i}-x"]
+        return SimpleNamespace(name=f"{called} {i}", tiles=[SimpleNamespace(key=key) for key in keys])
+
+    monkeypatch.setattr(module, "view_tiles", tiles)
+    monkeypatch.setattr(module, "compared", lambda place: tuple(f"render-{run}" for run in place.runs))
+    places = {name: lambda runs=runs: SimpleNamespace(runs=runs, views=[3, 5]) for name, runs in RUNS.items()}
+
+    def broken() -> None:
+        raise ValueError("it is gone")
+
+    said = list[tuple[int, int]]()
+    page: Any = SimpleNamespace(album=None, views={}, data={}, progress=lambda done, of, what: said.append((done, of)))
+    material: Any = SimpleNamespace(
+        one=None, unseen={"old": "why"}, places={**places, "three": broken, "no": lambda: None}
+    )
+    found = look(material, page)
+    assert found is not None
+    assert [view.name for view in found["views"]] == ["one 3", "one 5", "two 3", "two 5"]
+    assert page.views == {(name, run): f"{name} 3" for name, runs in RUNS.items() for run in runs}
+    assert (page.data["left"], page.data["right"]) == (
+        ["render-a", "render-b", "enhanced"], ["render-b", "render-c", "truth-lit"]
+    )  # fmt: skip
+    assert found["kinds"] == {"render", "map3", "map5"}
+    assert found["unseen"] == {"old": "why", "three": "it is gone"}
+    assert said == [(1, 8), (2, 8), (3, 8), (4, 8)]

@@ -1,0 +1,116 @@
+"""Claims about the tables of scores: every run, view, axis and seed has its cell."""
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from novags.testbed.report.blocks import scores
+from novags.testbed.report.grid import Line
+from novags.testbed.report.rows import Row
+
+
+@pytest.fixture(autouse=True)
+def plain(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(scores, "named", lambda look: look if isinstance(look, str) else look.name)
+
+
+def test_a_run_by_itself_has_a_cell_in_every_column() -> None:
+    row = {"run": 1, "method": "naive", "level": 5, "state": "done", "a": 1.0, "b": None, "c": 2.5}
+    columns = [(name, name, "dB", True, 2) for name in "abc"]
+    material: Any = SimpleNamespace(varied=["level"], rows=[row], looks={"naive": "look"}, commands={})
+    table = scores._runs(material, columns)
+    assert [len(each.cells) for each in table.rows] == [len(table.columns)]
+
+
+def line(level: int, method: str, *runs: dict[str, Any], **spread: tuple[float, float | None]) -> Line:
+    return Line({"level": level, "scene": "s"}, method, list(runs), spread, dict.fromkeys(spread, 2 - (method == "a")))
+
+
+def look(name: str) -> Row:
+    return Row(name, f"key-{name}", name, f"by {name}", "ours", "#102030", None, True, "")
+
+
+def table_of_many(study: bool = False) -> tuple[dict[str, Any], Any]:
+    """Two methods at two levels by two seeds; one run failed, one has no command."""
+    column = "enhanced.aligned_psnr"
+    runs = [{"run": k + 1, "method": "ab"[k // 2 % 2], "level": k // 4, "scene": "s",
+             "state": "failed" if k == 3 else "done", column: 20.0 + k} for k in range(8)]  # fmt: skip
+    lines = [line(k // 2, "ab"[k % 2], *runs[2 * k : 2 * k + 2], **{column: (20.0 + k, 0.5)}) for k in range(4)]
+    looks = {name: look(name) for name in "ab"}
+    material: Any = SimpleNamespace(
+        one=None, lines=lines, rows=runs,
+        varied=["level"], looks=looks, lost=0, study=(Path("f"), {}) if study else None,
+        made={k: SimpleNamespace(name="ab"[k % 2], run=SimpleNamespace(name="ab"[k % 2])) for k in (1, 2)},
+        commands={k: None if k == 2 else f"novags {k}" for k in range(1, 9)}, path=Path("g/report.html"),
+    )  # fmt: skip
+    page: Any = SimpleNamespace(views={(lines[1].where, "b"): "0000"})
+    found = scores.scores(material, page)
+    return found, list(found["table"].rows)
+
+
+@pytest.mark.parametrize("study", [False, True])
+def test_every_combination_has_its_axes_its_count_and_the_commands_of_all_its_runs(study: bool) -> None:
+    found, rows = table_of_many(study)
+    assert [row.cells[1].text for row in rows] == ["a", "b", "a", "b"]
+    assert [row.cells[2].text for row in rows] == [0, 0, 1, 1]
+    assert [row.cells[3].text for row in rows] == ["2", "1 of 2", "2", "2"]
+    assert [row.attributes["data-command"] for row in rows] == [
+        "novags 1", "novags 3\nnovags 4", "novags 5\nnovags 6", "novags 7\nnovags 8"
+    ]  # fmt: skip
+    assert [row.attributes["data-view"] for row in rows] == [None, "0000", None, None]
+    assert [len(row.cells) for row in rows] == [len(found["table"].columns)] * 4
+    assert [column.heading for column in found["table"].columns][:4] == ["#", "Method", "level", "Runs"]
+    assert {name for name, _ in found["methods"]} == {"a", "b"}
+    assert found["seeds"]
+    assert (found["runs"] is not None) == study
+    if study:
+        assert [row.cells[0].text for row in found["runs"].rows] == list(range(1, 9))
+        assert [row.attributes["data-command"] for row in found["runs"].rows][2] == "novags 3"
+
+
+@pytest.mark.parametrize("last", [0, 1])
+def test_what_any_line_has_is_said_of_the_table(last: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    lines = [line(0, name, {"run": k, "state": "done"}, **{"lit.psnr": (1.0, None)}) for k, name in enumerate("ab")]
+    lines[last].runs += [{"run": 5, "state": "done", "linear.psnr": 1.0}]
+    lines[last].spread["lit.lpips"] = (0.1, None)
+    lines[last].alike = False
+    looks = {name: look(name) for name in "ab"}
+    material: Any = SimpleNamespace(one=None, lines=lines, rows=[], varied=[], looks=looks, lost=0, study=None, made={},
+                                    commands={}, path=Path("g/report.html"))  # fmt: skip
+    found = scores.scores(material, SimpleNamespace(views={}))  # type: ignore[arg-type]
+    assert (found["seeds"], found["alike"], found["no_lpips"]) == (True, False, False)
+    assert found["in_linear_light"] == ["ab"[last]]
+
+
+def test_every_held_out_view_has_a_row_with_the_scores_of_every_run() -> None:
+    spread = {what: [1.0, None] for what in ("mean", "sd", "worst", "best")}
+    of = {"digits": 1, "values": [[20.0, 21.0], [30.0, None], [40.0, 41.0]], "spread": spread}
+    found = {"views": ["0000", "0008", "0016"], "methods": ["a", "b"], "scores": {"psnr": of}}
+    place: Any = SimpleNamespace(rows={name: SimpleNamespace(name=name) for name in "ab"})
+    table = scores._views("lit", found, place)
+    assert [(row.cells[0], *(cell.text for cell in row.cells[1:])) for row in table.rows] == [
+        ("0000", "20.0", "21.0"), ("0008", "30.0", "unavailable"), ("0016", "40.0", "41.0")
+    ]  # fmt: skip
+    assert [column.heading for column in table.columns] == ["View", "a", "b"]
+    assert [[cell.text for cell in row.cells[1:]] for row in table.foot] == [["1.0", ""]] * 4
+
+
+def test_every_run_that_is_scored_is_ranked(monkeypatch: pytest.MonkeyPatch) -> None:
+    cell = {"key": "aligned_psnr", "value": 20.0, "rank": 1, "best": True}
+    rows = [{"method": name, "competes": name != "c", "cells": [cell | {"rank": rank}]}
+            for name, rank in (("a", 1), ("b", 2), ("c", None))]  # fmt: skip
+    monkeypatch.setattr(scores, "table_of", lambda place, kind: rows)
+    place: Any = SimpleNamespace(rows={name: SimpleNamespace(name=name) for name in "abc"})
+    more = [
+        (scores.Column("Over a"), {"b": 1.5}, scores.signed),
+        (scores.Column("Recovered"), {"c": 0.5}, scores.share),
+    ]
+    table = scores.ranked_table("lit", place, {"b": "novags b"}, more)
+    assert table is not None
+    found = list(table.rows)
+    assert [(row.cells[0].text, row.cells[1].text) for row in found] == [(1, "a"), (2, "b"), ("\u2020", "c")]
+    assert [[each.text for each in row.cells[-2:]] for row in found] == [["", ""], ["+1.50", ""], ["", "50 %"]]
+    assert [row.attributes["data-command"] for row in found] == [None, "novags b", None]
+    assert [column.heading for column in table.columns][-2:] == ["Over a", "Recovered"]

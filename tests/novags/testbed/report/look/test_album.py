@@ -1,0 +1,103 @@
+"""Claims about the pictures of a page: every code of small ones, and where large ones lie."""
+
+import base64
+import json
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from novags.testbed.report.look.album import Album, files_of
+from novags.testbed.report.look.maps import (
+    colour_map,
+)
+
+
+def decoded(uri: str) -> np.ndarray:
+
+    codes = cv2.imdecode(np.frombuffer(base64.b64decode(uri.partition(",")[2]), np.uint8), cv2.IMREAD_COLOR)
+    assert codes is not None
+    return codes[..., ::-1]
+
+
+@pytest.mark.parametrize("kind", ["noise", "map"])
+def test_small_pictures_keep_every_code_and_maps_are_small(tmp_path: Path, kind: str) -> None:
+    rng = np.random.default_rng(0)
+    values = rng.random((60, 50))
+    image = rng.random((60, 50, 3)) if kind == "noise" else colour_map(values, "magma")
+    album = Album(tmp_path / "page.html")
+    picture = album.add(image.astype(np.float32))
+    album.settle()
+    assert (decoded(picture.src) == np.round(255 * image.astype(np.float32)).astype(np.uint8)).all()
+    assert picture.exact
+    assert picture.full is None
+    if kind == "map":
+        plain = cv2.imencode(".png", np.round(255 * image[..., ::-1]).astype(np.uint8))[1]
+        assert picture.data is not None
+        assert len(picture.data) < 0.6 * len(plain)
+
+
+def test_a_name_with_quotes_hands_its_data_over(tmp_path: Path) -> None:
+    album = Album(tmp_path / "page.html", inside=0)
+    script = album.add_data('probe-a "b" \\ c', b"data")
+    album.settle()
+    assert script.file is not None
+    call = (tmp_path / script.file).read_text()
+    name, text = json.loads(f"[{call[call.index('(') + 1 : call.rindex(')')]}]")
+    assert (name, text) == (script.name, base64.b64encode(b"data").decode())
+    assert script.text == ""
+
+
+def test_large_pictures_are_jpeg_at_their_own_size(tmp_path: Path) -> None:
+    album = Album(tmp_path / "page.html")
+    picture = album.add(np.random.default_rng(0).random((300, 700, 3)).astype(np.float32))
+    album.settle()
+    assert picture.src.startswith("data:image/jpeg")
+    assert decoded(picture.src).shape == (300, 700, 3)
+    assert not picture.exact
+
+
+def test_what_does_not_fit_into_a_page_leaves_the_memory_as_it_comes(tmp_path: Path) -> None:
+    album = Album(tmp_path / "page.html", inside=40_000)
+    encoded = [bytes([i]) * 9_000 for i in range(10)]
+    pictures = []
+    for i, data in enumerate(encoded):
+        pictures.append(album.add_encoded(data, "png"))
+        album.add_data(f"probe-{i}", data[::-1])
+        kept = sum(picture.data is not None for picture in pictures)
+        assert kept == (i + 1 if i < 3 else 0)  # three take 36,000 bytes as text
+        assert sum(script.text != "" for script in album._scripts) == kept
+    assert [(tmp_path / str(picture.full)).read_bytes() for picture in pictures] == encoded
+    files = {str(script.file) for script in album._scripts}
+    assert len(files) == 10
+    for i, script in enumerate(album._scripts):
+        assert base64.b64encode(encoded[i]).decode() in (tmp_path / str(script.file)).read_text()
+
+
+def test_beside_a_page_lies_what_it_shows_and_nothing_of_earlier_pages(tmp_path: Path) -> None:
+    def make(*seeds: int, inside: int) -> list[Any]:
+        album = Album(tmp_path / "page.html", inside)
+        found = [album.add(np.random.default_rng(seed).random((200, 250, 3)).astype(np.float32)) for seed in seeds]
+        found.append(album.add_data("probe-x", b"numbers"))  # type: ignore[arg-type]
+        album.settle()
+        return found
+
+    folder = files_of(tmp_path / "page.html")
+    *pictures, data = make(0, 1, inside=10_000)
+    assert {path.name for path in folder.iterdir()} == {Path(item.full or "").name for item in pictures} | {
+        Path(data.file).name
+    }
+    for seed, item in enumerate(pictures):
+        alone = Album(tmp_path / "alone.html")
+        same = alone.add(np.random.default_rng(seed).random((200, 250, 3)).astype(np.float32))
+        assert (folder.parent / str(item.full)).read_bytes() == same.data
+    assert max(decoded(pictures[0].src).shape) == 144
+    (folder / "mine.png").write_bytes(b"x")
+    (kept, _) = make(1, inside=10)
+    assert {path.name for path in folder.iterdir()} >= {"mine.png", Path(kept.full or "").name}
+    assert len(list(folder.iterdir())) == 3
+    (folder / "mine.png").unlink()
+    make(1, inside=10_000_000)
+    assert not folder.exists()

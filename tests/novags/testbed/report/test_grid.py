@@ -1,0 +1,68 @@
+"""Claims about the lines of a table: what is gathered, averaged and ranked together."""
+
+from typing import Any
+
+import pytest
+
+from novags.testbed.report.grid import Line, first_places, lines_of, main_column, shown_columns, verdict
+
+PSNR, LIT = "enhanced.aligned_psnr", "lit.tone_aligned_psnr"
+AXES = {"scene": ("s", "t"), "electrons": (5, 50), "method": ("a", "b"), "seed": (0, 1)}
+COMPETES = {"a": True, "b": True}
+
+
+def test_a_column_that_any_line_has_a_value_in_is_shown() -> None:
+    lines = [Line({}, "a", []), Line({}, "b", [], {"enhanced.flip": (0.2, None)})]
+    assert [column[0] for column in shown_columns(lines)] == ["enhanced.flip"]
+
+
+def rows() -> list[dict[str, Any]]:
+    """In each place both methods by two seeds: a has 20 and 22, b 23 and 27, in scene t the other way round."""
+    values = {"a": (20.0, 22.0), "b": (23.0, 27.0)}
+    found = [{"scene": scene, "electrons": electrons, "method": method, "seed": seed, "state": "done",
+              PSNR: values["ab"[("ab".index(method) + (scene == "t")) % 2]][seed], LIT: 10.0 + seed}
+             for scene in AXES["scene"] for electrons in (5, 50) for method in "ab" for seed in (0, 1)]  # fmt: skip
+    return [{"run": k, **row} for k, row in enumerate(found, 1)]
+
+
+def test_runs_that_differ_in_their_seed_alone_are_one_line_with_the_mean_of_all() -> None:
+    lines = lines_of(rows(), AXES, COMPETES)
+    assert [(line.place["scene"], line.place["electrons"], line.method) for line in lines] == [
+        (scene, electrons, method)
+        for scene in "st"
+        for electrons in (5, 50)
+        for method in ("ba" if scene == "s" else "ab")
+    ]
+    assert {len(line.runs) for line in lines} == {2}
+    assert [line.spread[PSNR] for line in lines] == [(25.0, pytest.approx(8**0.5)), (21.0, pytest.approx(2**0.5))] * 4
+    assert [line.places[PSNR] for line in lines] == [1, 2] * 4
+    assert [line.places[LIT] for line in lines] == [1, 1] * 4
+    assert all(line.alike for line in lines)
+    assert first_places(lines, PSNR) == {"b": 2, "a": 2}
+
+
+@pytest.mark.parametrize("other", range(1, 5))
+def test_runs_with_a_reference_of_their_own_rank_nothing_in_their_whole_place(other: int) -> None:
+    """Whichever run of the place it is, the first one or not, of the first method or not."""
+    enhancements = dict.fromkeys(range(1, 17), "x") | {other: "y"}
+    lines = lines_of(rows(), AXES, COMPETES, enhancements)
+    assert [line.alike for line in lines] == [line.place != {"scene": "s", "electrons": 5} for line in lines]
+    assert [PSNR in line.places for line in lines] == [line.alike for line in lines]
+    assert all(LIT in line.places for line in lines)
+    assert main_column(lines) == LIT
+
+
+@pytest.mark.parametrize("last", range(4))
+def test_light_that_truth_exposes_takes_no_place_by_plain_scores_whichever_run_ends_in_it(last: int) -> None:
+    table = [row | {"lit.psnr": 15.0} for row in rows()[:4]]
+    table[last]["linear.psnr"] = 30.0
+    lines = lines_of(table, AXES, COMPETES)
+    assert {line.method: line.in_linear_light for line in lines} == {"a": last < 2, "b": last >= 2}
+    assert {line.method: "lit.psnr" in line.places for line in lines} == {"a": last >= 2, "b": last < 2}
+
+
+def test_the_verdict_counts_every_place() -> None:
+    table = [row for row in rows() if (row["scene"], row["electrons"]) != ("t", 50)]
+    said = verdict(lines_of(table, AXES, COMPETES), COMPETES)
+    assert said.startswith("b comes first in 2 of 3 comparisons by")
+    assert "; a in 1." in said
