@@ -5,7 +5,7 @@
 
 The first command draws mistakes of all kinds in the files of `GROUPS`, whose tests are named there. The second draws
 the careless ones (`mutation/careless.py`) all over the product, and asks the nearest tests alone
-(`mutation/nearest.py`).
+(`mutation/nearest.py`). With `--beside LIST` none is drawn that an earlier list names.
 
 A mistake that no test fails on survived: either a test is missing, or the mistake changes nothing that a user could
 see; those are excused, with the reason, in `mutation/excused.toml`. Every group of tests runs once on the unchanged
@@ -35,7 +35,7 @@ else:
 from mutation.baseline import tests_reaching
 from mutation.careless import CARELESS
 from mutation.judge import Job, baseline, is_compiled, verdicts
-from mutation.listing import listing
+from mutation.listing import difference, listed, listing
 from mutation.mutants import Mutant, mutants
 from mutation.nearest import nearest
 from mutation.record import code_of_test, earlier, fingerprint, holds, keys
@@ -118,7 +118,10 @@ def groups(careless: bool) -> list[Group]:
 def chosen(options: Any) -> list[Placed]:
     """The mutants to judge: of all kinds, shared out among the files; of chosen kinds, as many of each kind."""
     names = [name for sources, _ in groups(bool(options.kinds)) for name in sources if re.search(options.only, name)]
-    found = {name: mutants((ROOT / name).read_text(encoding="utf-8")) for name in names}
+    before = {mutant for path in options.beside for mutant in listed(path.read_text(encoding="utf-8"))}
+    found = {name: [m for m in mutants((ROOT / name).read_text(encoding="utf-8"))
+                    if not before or (name, *difference(m.before, m.after)) not in before]
+             for name in names}  # fmt: skip
     placed = {name: [(name, mutant) for mutant in every] for name, every in found.items()}
     if options.kinds:
         candidates = [one for every in placed.values() for one in every if one[1].kind in options.kinds]
@@ -219,6 +222,7 @@ def arguments() -> argparse.Namespace:
                         help="the same as all --kinds of mutation/careless.py")  # fmt: skip
     parser.add_argument("--count", type=int, default=240, help="mutants over all chosen files")
     parser.add_argument("--seed", type=int, default=0, help="of the choice; a larger count extends a smaller one")
+    parser.add_argument("--beside", type=Path, nargs="*", default=[], help="lists of mutants that are not drawn again")
     parser.add_argument("--jobs", type=int, default=2, help="mutants at a time")
     parser.add_argument("--longest", type=float, default=10.0, help="seconds of computing; longer tests are not asked")
     parser.add_argument("--out", type=Path, default=ROOT / "build" / "mutation", help="folder of verdicts")

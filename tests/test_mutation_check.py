@@ -302,7 +302,8 @@ def test_chosen_kinds_are_drawn_in_equal_shares_all_over_the_product_and_judged_
     import mutation_check
     from mutation.nearest import nearest
 
-    options = argparse.Namespace(kinds=["identity", "gain"], only="job/|plan|params|fit", count=20, seed=3)
+    only = "job/|plan|params|fit"
+    options = argparse.Namespace(kinds=["identity", "gain"], only=only, count=20, seed=3, beside=[])
     found = mutation_check.chosen(options)
     assert [mutant.kind for _, mutant in found].count("identity") == [m.kind for _, m in found].count("gain") == 10
     assert {name.split("/")[0] for name, _ in found} == {"novags", "sensor_model", "simscenes"}
@@ -310,6 +311,26 @@ def test_chosen_kinds_are_drawn_in_equal_shares_all_over_the_product_and_judged_
     assert mutation_check.chosen(options) == found[:6]
     root = mutation_check.ROOT
     assert (["simscenes/rigs.py"], list(nearest(root, "simscenes/rigs.py"))) in mutation_check.groups(careless=True)
+
+
+def test_what_an_earlier_list_names_is_not_drawn_again(tmp_path):
+    import argparse
+
+    import mutation_check
+    from mutation.listing import listing
+
+    options = argparse.Namespace(kinds=["identity", "gain"], only="testbed/study", count=10**6, seed=3, beside=[])
+    every = mutation_check.chosen(options)
+    lists = [tmp_path / "a.md", tmp_path / "b.md"]
+    for path, part in zip(lists, (every[:10], every[10:20]), strict=True):
+        common = {"key": "", "line": 0, "verdict": "survived", "by": ""}
+        entries = [common | {"file": name, "kind": m.kind, "before": m.before, "after": m.after} for name, m in part]
+        path.write_text(listing(entries, {}))
+    options.beside = lists
+    left = mutation_check.chosen(options)
+    assert set(left) < set(every)
+    assert not set(left) & set(every[:20])
+    assert len(left) > len(every) - 40  # some look alike
 
 
 def test_a_test_that_fails_already_is_not_asked(tmp_path, monkeypatch):
@@ -340,6 +361,8 @@ def test_the_list_shows_where_before_and_after_differ_and_the_test_that_failed()
         "",
         "- a/b.py:3 `seed` becomes `1`; **survived**: nobody draws",
     ]
+    assert difference("a\n        if b\n    else c", "(b)") == ("a if b else c", "b")
+    assert difference("f(x)", "pass") == ("f(x)", "pass")
     long = "f(" + ", ".join(f"argument_{i}" for i in range(20)) + ")"
     before, after = difference(long, long.replace("_9", "_99"))
     assert (before[0], before[-1]) == ("…", "…")

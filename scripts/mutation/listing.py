@@ -1,6 +1,7 @@
 """All judged mutants as one page, each with the test that failed."""
 
 import ast
+import re
 from collections.abc import Iterable
 from typing import Any
 
@@ -22,6 +23,12 @@ def listing(entries: Iterable[dict[str, Any]], notes: dict[str, str | None]) -> 
     return "\n".join(lines).strip() + "\n"
 
 
+def listed(text: str) -> set[tuple[str, str, str]]:
+    """The mutants that a list names, as files and both texts; lines of a source move and do not count."""
+    found = re.findall(r"^- (\S+):\d+ `([^`]*)` becomes `([^`]*)`;", text, re.M)
+    return {(file, before, after) for file, before, after in found}
+
+
 def _line(entry: dict[str, Any], why: str | None) -> str:
     before, after = difference(entry["before"], entry["after"])
     if entry["verdict"] == "survived":
@@ -34,7 +41,7 @@ def _line(entry: dict[str, Any], why: str | None) -> str:
 
 def difference(before: str, after: str) -> tuple[str, str]:
     """Both texts around the place where they differ, laid out alike."""
-    one, other = (ast.unparse(ast.parse(text.strip())) for text in (before, after))
+    one, other = (_laid_out(text) for text in (before, after))
     shortest = min(len(one), len(other))
     head = next((i for i in range(shortest) if one[i] != other[i]), shortest)
     tail = next((i for i in range(shortest - head) if one[-1 - i] != other[-1 - i]), shortest - head)
@@ -42,3 +49,10 @@ def difference(before: str, after: str) -> tuple[str, str]:
     return tuple(  # type: ignore[return-value]
         ("…" if start else "") + text[start : len(text) - stop] + ("…" if stop else "") for text in (one, other)
     )
+
+
+def _laid_out(text: str) -> str:
+    try:
+        return ast.unparse(ast.parse(f"({text}\n)"))  # an expression may take several lines
+    except SyntaxError:
+        return ast.unparse(ast.parse(text.strip()))
