@@ -138,6 +138,15 @@ def test_a_reference_is_refused_where_it_would_choose_nothing(
     assert "--reference linear belongs to --renders" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("inside", ["renders", "set"])
+def test_scores_of_pictures_are_not_written_into_what_they_are_made_of(
+    call: Call, capsys: pytest.CaptureFixture[str], tmp_path: Path, inside: str
+) -> None:
+    words = ("score", "--renders", str(tmp_path / "renders"), "--set", str(tmp_path / "set"))
+    assert call(*words, "--out", str(tmp_path / inside / "scores.json")) == 2
+    assert "must not lie inside its input" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(("level", "said"), [("mvtv", True), ("lom", False)])
 def test_after_a_capture_at_a_level_of_16_bits_the_next_command_takes_them(
     call: Call, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, level: str,

@@ -161,6 +161,18 @@ def test_views_from_the_first_to_the_last_say_how_far_it_is_followed(monkeypatch
     assert [variance for _, variance in asked] == pytest.approx([2 * level for level, _ in asked])
 
 
+def test_the_seed_chooses_the_crops_and_the_noise_that_is_added() -> None:
+    pictures = capture(torch.rand(3, 3, 16, 16, generator=torch.Generator().manual_seed(0)) + 5, 1.0, None)
+    network, config = Network(SMALL), AdaptConfig(steps=1, crop=8, batch=2)
+    losses: list[float] = []
+    for seed in (3, 3, 4):
+        adapt(network, pictures, config, seed=seed, progress=lambda *said: losses.append(said[2]["denoiser"]))
+    assert losses[0] == losses[1] != losses[2]
+    crops = [Adaptation(network, pictures, config, seed)._crops()[0] for seed in (3, 3, 4)]
+    assert torch.equal(crops[0], crops[1])
+    assert not torch.equal(crops[0], crops[2])
+
+
 def test_the_rate_falls_from_all_of_it_along_half_a_cosine() -> None:
     mean = torch.full((1, 3, 16, 16), 9.0)
     training = Adaptation(Network(SMALL), capture(mean, 1.0, None), AdaptConfig(steps=4, crop=8, batch=1), seed=0)
