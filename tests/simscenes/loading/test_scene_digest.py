@@ -94,3 +94,14 @@ def test_two_parameters_that_change_places_make_another_scene() -> None:
     names = list(values)
     other = dict(zip(names, reversed(values.values()), strict=True))
     assert content_digest({}, values) == content_digest({}, dict(reversed(values.items()))) != content_digest({}, other)
+
+
+def test_no_byte_counts_for_the_file_or_the_parameter_beside_its_own(tmp_path: Path) -> None:
+    def of_files(*contents: str) -> str:
+        files = tuple(tmp_path / str(i) for i in range(len(contents)))
+        for file, content in zip(files, contents, strict=True):
+            file.write_text(content)
+        return content_digest(files, {})
+
+    assert of_files("ab", "c") == of_files("ab", "c") != of_files("a", "bc")
+    assert content_digest({}, {"ab": "c"}) != content_digest({}, {"a": "bc"})
