@@ -114,7 +114,6 @@ def test_what_a_parameter_chooses_counts_beside_the_file_that_it_is_of(tmp_path:
     write_png(tmp_path / "a.png", np.full((4, 4, 3), 90, np.uint8))
     paint = ('<texture type="bitmap" name="reflectance"><string name="filename" value="a.png"/>'
              '<string name="wrap_mode" value="$wrap"/></texture>')  # fmt: skip
-    matt = f'<bsdf type="diffuse">{paint}</bsdf>'
 
     def digest(radius: str, *given: str) -> str:
         ball = (
