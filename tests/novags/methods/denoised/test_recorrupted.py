@@ -2,15 +2,16 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 
-from novags.methods.denoised import blend
+from novags.methods.denoised import blend, denoiser
 from novags.methods.denoised import recorrupted as module
 from novags.methods.denoised.anscombe import Anscombe
-from novags.methods.denoised.config import AdaptConfig
+from novags.methods.denoised.config import AdaptConfig, DenoiseConfig
 from novags.methods.denoised.estimate import estimate, estimate_all
 from novags.methods.denoised.measured import MeasuredPictures
 from novags.methods.denoised.network import Network, NetworkConfig
@@ -171,6 +172,22 @@ def test_the_seed_chooses_the_crops_and_the_noise_that_is_added() -> None:
     crops = [Adaptation(network, pictures, config, seed)._crops()[0] for seed in (3, 3, 4)]
     assert torch.equal(crops[0], crops[1])
     assert not torch.equal(crops[0], crops[2])
+
+
+def test_single_pictures_are_denoised_with_the_seed_and_all_turns_that_are_asked_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    pictures = capture(torch.full((1, 3, 16, 16), 9.0), 1.0, None)
+    asked: list[int] = []
+
+    def adapted(*_: object, seed: int, **__: object) -> SimpleNamespace:
+        asked.append(seed)
+        return SimpleNamespace(estimate_all=lambda pictures, turns: asked.append(turns) or pictures.electrons)
+
+    monkeypatch.setattr(denoiser, "adapt", adapted)
+    found = denoiser.denoised(pictures, DenoiseConfig(adapt=AdaptConfig(), turns=3), seed=7)
+    assert asked == [7, 3]
+    torch.testing.assert_close(found, pictures.linear(pictures.electrons))
 
 
 def test_the_rate_falls_from_all_of_it_along_half_a_cosine() -> None:
