@@ -203,4 +203,6 @@ def test_a_byte_order_mark_changes_nothing(tmp_path: Path) -> None:
 def test_two_focal_lengths_that_contradict_each_other_are_said(tmp_path: Path) -> None:
     (note,) = notes_of(folder_of(tmp_path, camera_angle_x=2.0))
     assert "states two focal lengths: fl_x gives 60 px, camera_angle_x gives 12.84 px; fl_x counts" in note
+    (note,) = notes_of(folder_of(tmp_path, frame={"fl_y": 60.0, "camera_angle_y": 2.0}))
+    assert "fl_y gives 60 px, camera_angle_y gives 9.631 px; fl_y counts" in note
     assert notes_of(folder_of(tmp_path, camera_angle_x=float(2 * np.arctan(20 / 60)))) == []

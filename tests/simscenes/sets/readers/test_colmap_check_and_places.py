@@ -1,4 +1,4 @@
-"""Claims about which COLMAP model of a folder is read, and about models without a file of points."""
+"""Claims about which COLMAP model of a folder is read, and about files of points that are damaged or not there."""
 
 import shutil
 from pathlib import Path
