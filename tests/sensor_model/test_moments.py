@@ -227,7 +227,8 @@ class NoSettings:
 def test_an_effect_from_outside_moves_mean_and_variance_by_its_electrons_in_codes(monkeypatch):
     """At 1.3 DN/e-; the signal is the light's, cut at full well."""
     haze = OwnEffect(
-        title="haze", config=NoSettings, sample=lambda signal, *_: 0 * signal, mean=lambda signal, *_: 20 + 0.1 * signal,
+        title="haze", config=NoSettings, sample=lambda signal, *_: 0 * signal,
+        mean=lambda signal, *_: 20 + 0.1 * signal,
         variance=lambda signal, *_: 3 + 0.2 * signal, cost=lambda signal, *_: (0 * signal, 0 * signal),
     )  # fmt: skip
     monkeypatch.setitem(EFFECT_LIST, "haze", haze)
