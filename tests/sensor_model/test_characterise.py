@@ -32,7 +32,7 @@ def stack(
     column=0.0,
 ):
     """Frames of one light. A lamp flickers by a share, a black level drifts by DN, a shade lies over the field."""
-    fixed, rng = np.random.default_rng(1), np.random.default_rng(seed)
+    fixed, rng, apart = np.random.default_rng(1), np.random.default_rng(seed), np.random.default_rng([seed, 1])
     response = 1 + TRUE["prnu"] * fixed.normal(size=X.shape)
     offset = dsnu * fixed.normal(size=X.shape)
     dark = np.where(fixed.random(X.shape) < hot, 2000.0, dark)  # e-/s
@@ -40,7 +40,7 @@ def stack(
     for _ in range(n):
         light = electrons * (1 + flicker * rng.normal()) * shade * response
         charge = np.minimum(rng.poisson(light) + rng.poisson(dark * time, X.shape), FULL)
-        lines = row * rng.normal(size=(SIDE, 1)) + column * rng.normal(size=SIDE)
+        lines = row * apart.normal(size=(SIDE, 1)) + column * apart.normal(size=SIDE)
         voltage = charge + offset + TRUE["sigma_d"] * rng.normal(size=X.shape) + lines
         frames.append(np.clip(np.rint(TRUE["gain"] * voltage + black + drift * rng.normal()), 0, 65535))
     return np.stack(frames).astype(np.uint16)
