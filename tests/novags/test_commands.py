@@ -2,6 +2,8 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -29,11 +31,120 @@ def test_one_method_is_reconstructed_and_it_is_the_one_that_is_named(
     assert len(seen) == 5
 
 
+@pytest.mark.parametrize(
+    ("words", "stage"),
+    [
+        (("render", "cornell"), "render"), (("poses", "."), "poses"), (("capture", "."), "capture"),
+        (("denoise", "."), "denoise"), (("reconstruct", "."), "reconstruct"),
+    ],
+)  # fmt: skip
+def test_the_seed_of_a_command_reaches_its_stage(
+    call: Call, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, words: tuple[str, ...], stage: str
+) -> None:
+    from novags.testbed import stages
+
+    seen = []
+
+    def asked(*given: Any, **_: Any) -> None:
+        seen.extend(one.seed for one in given if hasattr(one, "seed"))
+        raise ValueError("seen enough")
+
+    monkeypatch.setattr(stages, stage, asked)
+    for seed in (7, 8):
+        assert call(*words, "--seed", str(seed), "--out", str(tmp_path / "out")) == 2
+    assert seen == [7, 8]
+
+
+def test_the_seed_of_an_experiment_reaches_its_noise_and_its_training(
+    call: Call, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    from novags.testbed.study import place
+
+    seen: list[Any] = []
+    monkeypatch.setattr(place, "run", lambda preset, *_, **__: seen.append(preset) or tmp_path)
+    assert call("run", "--methods", "naive", "--seed", "7", "--out", str(tmp_path)) == 0
+    assert (seen[0].capture.seed, seen[0].reconstruct("naive").seed) == (7, 7)
+
+
+def test_photographs_are_imported_with_the_black_and_the_white_that_are_said(
+    call: Call, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    from novags.testbed import stages
+
+    seen: list[Any] = []
+    monkeypatch.setattr(stages, "import_photographs", lambda _, __, config, *___, **____: seen.append(config))
+    assert call("import", str(tmp_path), "--black", "64", "--white", "1023", "--out", str(tmp_path / "cap")) == 0
+    assert (seen[0].black, seen[0].white) == (64, 1023)
+
+
+def test_scores_are_said_of_every_place_that_runs_lie_in(
+    call: Call, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    from novags.commands import results
+    from novags.testbed.report import place, verdict
+    from novags.testbed.study import place as study
+
+    places = [SimpleNamespace(title=f"at {light}", metrics={"methods": {"naive": {"mean": {}}}}) for light in "ab"]
+    monkeypatch.setattr(study, "together", lambda runs: {})
+    monkeypatch.setattr(place, "places_in", lambda *_: places)
+    monkeypatch.setattr(verdict, "limits", lambda _: None)
+    monkeypatch.setattr(results, "_in_words", lambda mean, place, name: place.title)
+    assert call("score", str(tmp_path), str(tmp_path / "other")) == 0
+    assert capsys.readouterr().out.split("\n")[:-1] == ["at a:", "naive: at a", "at b:", "naive: at b"]
+
+
+def test_an_effect_is_written_with_its_camera_or_not_at_all(
+    call: Call, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert call("new", "effect", "glow") == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["glow.py", "glow.toml"]
+    (tmp_path / "glow.py").unlink()
+    assert call("new", "effect", "glow") == 2
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["glow.toml"]
+
+
+def test_the_store_keeps_every_entry_of_a_study_that_is_named_by_its_file(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    from novags.commands import store
+    from novags.testbed.ledger.pruning import KEY
+    from novags.testbed.study import plan
+    from novags.testbed.study.curves import measuring
+
+    monkeypatch.setattr(measuring, "read_any", lambda _: None)
+    monkeypatch.setattr(plan, "plan_of", lambda *_, **__: SimpleNamespace(tasks={c * 64: None for c in "ab"}))
+    assert store._ends(tmp_path / "study.toml", tmp_path) == {"a" * KEY, "b" * KEY}
+
+
+def test_a_dry_run_within_a_budget_says_every_line(
+    call: Call, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    from novags.testbed.study import place
+    from novags.testbed.study.budget import within
+
+    monkeypatch.setattr(place, "refuse_impossible", lambda _: None)
+    monkeypatch.setattr(within, "told", lambda *_, **__: (None, ["a trial", "settings"]))
+    assert call("run", "--budget", "60s", "--dry-run", "--out", str(tmp_path / "out")) == 0
+    said = capsys.readouterr().err
+    assert "a trial" in said
+    assert "settings" in said
+
+
 def test_a_reference_is_refused_where_it_would_choose_nothing(
     call: Call, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     assert call("score", str(tmp_path), "--reference", "linear") == 2
     assert "--reference linear belongs to --renders" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("inside", ["renders", "set"])
+def test_scores_of_pictures_are_not_written_into_what_they_are_made_of(
+    call: Call, capsys: pytest.CaptureFixture[str], tmp_path: Path, inside: str
+) -> None:
+    words = ("score", "--renders", str(tmp_path / "renders"), "--set", str(tmp_path / "set"))
+    assert call(*words, "--out", str(tmp_path / inside / "scores.json")) == 2
+    assert "must not lie inside its input" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("level", "said"), [("mvtv", True), ("lom", False)])

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from novags.commands.every import LINKS as OPTION
-from novags.commands.every import without_common
+from novags.commands.every import PLUGIN, without_common
+from sensor_model.files import outside
 from sensor_model.files.door import read_bytes
 from simscenes import orbit_rig
 from simscenes.sets.multiview import write_cameras
@@ -88,6 +89,15 @@ def test_a_folder_that_is_not_there_is_one_line(
     assert call("list", "scenes", *words) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert f"{OPTION} must be followed by a folder that is there" in line
+
+
+def test_all_plugins_that_are_named_are_added(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    files, added = [tmp_path / "a.py", tmp_path / "b.py"], []
+    monkeypatch.setattr(outside, "add_file", added.append)
+    for file in files:
+        file.touch()
+    with without_common(["list", "methods", PLUGIN, str(files[0]), f"{PLUGIN}={files[1]}"])[1]:
+        assert added == files
 
 
 def test_all_other_words_are_left_for_the_command() -> None:

@@ -174,3 +174,12 @@ def test_a_range_says_which_end_was_passed() -> None:
 def test_digits_of_a_long_number_are_not_repeated() -> None:
     assert shown(10**5000) == "one of about 5000 digits"
     assert shown(12) == "12"
+
+
+@pytest.mark.parametrize("nodes", [(0, 1), (1, 0)])
+def test_every_number_of_machines_is_bounded(nodes: tuple[int, ...]) -> None:
+    from novags.commands.study import CLUSTER, check_numbers
+
+    check_numbers(None, CLUSTER, (1, 2))
+    with pytest.raises(ValueError, match="nodes must be >= 1"):
+        check_numbers(None, CLUSTER, nodes)

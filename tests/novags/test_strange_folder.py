@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from novags.testbed.study.engines.processes import TASKS, Worker
+from novags.testbed.study.engines.worker import Outcome
 from novags.testbed.study.knobs.splats import in_child
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -86,7 +87,7 @@ def test_a_worker_imports_nothing_that_lies_there(
     worker = Worker.start(TASKS, {"OMP_NUM_THREADS": "1"})
     try:
         worker.give("task", {"task": None, "log": str(tmp_path / "log")}, 0.0)
-        answers = [worker.connection.recv(), worker.connection.recv()]
+        answers: list[Outcome] = [worker.connection.recv(), worker.connection.recv()]
         assert [answer.state for answer in answers] == ["ready", "failed"]  # None is no task
     finally:
         worker.ask_to_stop()

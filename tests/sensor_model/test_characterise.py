@@ -15,9 +15,24 @@ TRUE = {"gain": 2.0, "sigma_d": 3.0, "dark_current": 50.0, "prnu": 0.01, "dsnu":
 Y, X = np.mgrid[-1 : 1 : SIDE * 1j, -1 : 1 : SIDE * 1j]
 
 
-def stack(electrons, time, n, seed, *, flicker=0.0, drift=0.0, shade=1.0, black=100.0, dark=50.0, hot=0.0, dsnu=1.0):
+def stack(
+    electrons,
+    time,
+    n,
+    seed,
+    *,
+    flicker=0.0,
+    drift=0.0,
+    shade=1.0,
+    black=100.0,
+    dark=50.0,
+    hot=0.0,
+    dsnu=1.0,
+    row=0.0,
+    column=0.0,
+):
     """Frames of one light. A lamp flickers by a share, a black level drifts by DN, a shade lies over the field."""
-    fixed, rng = np.random.default_rng(1), np.random.default_rng(seed)
+    fixed, rng, apart = np.random.default_rng(1), np.random.default_rng(seed), np.random.default_rng([seed, 1])
     response = 1 + TRUE["prnu"] * fixed.normal(size=X.shape)
     offset = dsnu * fixed.normal(size=X.shape)
     dark = np.where(fixed.random(X.shape) < hot, 2000.0, dark)  # e-/s
@@ -25,7 +40,8 @@ def stack(electrons, time, n, seed, *, flicker=0.0, drift=0.0, shade=1.0, black=
     for _ in range(n):
         light = electrons * (1 + flicker * rng.normal()) * shade * response
         charge = np.minimum(rng.poisson(light) + rng.poisson(dark * time, X.shape), FULL)
-        voltage = charge + offset + TRUE["sigma_d"] * rng.normal(size=X.shape)
+        lines = row * apart.normal(size=(SIDE, 1)) + column * apart.normal(size=SIDE)
+        voltage = charge + offset + TRUE["sigma_d"] * rng.normal(size=X.shape) + lines
         frames.append(np.clip(np.rint(TRUE["gain"] * voltage + black + drift * rng.normal()), 0, 65535))
     return np.stack(frames).astype(np.uint16)
 
@@ -70,6 +86,20 @@ def test_the_pattern_of_the_dark_is_not_counted_as_response():
     found = characterise(*laboratory(dsnu=20.0))
     assert found.dsnu == pytest.approx(20.0, rel=0.02)
     assert found.prnu == pytest.approx(TRUE["prnu"], rel=0.03)
+
+
+def test_the_dark_charge_of_the_flats_is_that_of_their_own_time():
+    """Pixels of 0 to 400 e-/s: after 0.1 s, the time of the flats, they differ by 12 electrons, after 2 s by 231."""
+    found = characterise(*laboratory(dark=np.random.default_rng(2).uniform(0, 400, X.shape)))
+    assert found.prnu == pytest.approx(TRUE["prnu"], rel=0.03)
+
+
+def test_noise_of_rows_and_of_columns_is_told_from_that_of_pixels():
+    """The eight pairs of dark frames hold 16 times 160 rows: four standard errors are 6 %."""
+    found = characterise(*laboratory(row=1.5, column=0.8))
+    assert found.sigma_row == pytest.approx(1.5, rel=0.06)
+    assert found.sigma_column == pytest.approx(0.8, rel=0.08)
+    assert found.sigma_d == pytest.approx(TRUE["sigma_d"], rel=0.03)
 
 
 def test_hot_pixels_are_counted_by_themselves(tmp_path):
@@ -141,6 +171,9 @@ def test_a_camera_that_cuts_its_noise_off_at_black_is_refused():
     """Read noise came out as 1.8 electrons instead of 3, and black as 2 DN instead of 0."""
     with pytest.raises(ValueError, match=r"dark pixels at 0 DN must be at most 0.005, got 0\.1.*raise the black level"):
         characterise(*laboratory(black=0.0))
+    dark, flat = laboratory()
+    with pytest.raises(ValueError, match="dark pixels at 0 DN"):  # one stack is enough
+        characterise([Stack(stack(0.0, 0.1, 20, 0, black=0.0), 0.1), *dark[1:]], flat)
     characterise(*laboratory(black=20.0))  # three standard deviations: a pixel in a thousand
 
 

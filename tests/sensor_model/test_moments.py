@@ -4,12 +4,13 @@ Where nothing differs between pixels, the rows of one tall frame serve as the fr
 or column noise are exposed 10 000 times.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
 from sensor_model import PRESETS, Banding, Defects, DualGain, Exposure, Sensor, effects, expose
+from sensor_model.effect_list import EFFECT_LIST, OwnEffect
 from sensor_model.frame.interpixel import coupled_variance, positive_part
 from sensor_model.moments import code_moments
 
@@ -216,3 +217,25 @@ def test_few_electrons_of_many_codes_are_cut_off_at_white_though_white_is_eight_
     assert dn.max() == sensor.max_dn < sensor.black_level + sensor.gain
     assert frame.mean_dn.max() == pytest.approx(dn.mean(), abs=5 * dn.std() / dn.size**0.5)
     assert frame.variance_dn.max() == pytest.approx(dn.var(), rel=0.1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoSettings:
+    """Of an effect that has none."""
+
+
+def test_an_effect_from_outside_moves_mean_and_variance_by_its_electrons_in_codes(monkeypatch):
+    """At 1.3 DN/e-; the signal is the light's, cut at full well."""
+    haze = OwnEffect(
+        title="haze", config=NoSettings, sample=lambda signal, *_: 0 * signal,
+        mean=lambda signal, *_: 20 + 0.1 * signal,
+        variance=lambda signal, *_: 3 + 0.2 * signal, cost=lambda signal, *_: (0 * signal, 0 * signal),
+    )  # fmt: skip
+    monkeypatch.setitem(EFFECT_LIST, "haze", haze)
+    charge = np.array([[0.0, 50.0, 400.0]])
+    plain, hazy = (
+        expose(charge / 0.6, Sensor(**BASE, effects=effects), EXPOSURE, seed=0, view=0)
+        for effects in ({}, {"haze": {}})
+    )
+    np.testing.assert_allclose(hazy.mean_dn - plain.mean_dn, 1.3 * (20 + 0.1 * charge), rtol=1e-3)
+    np.testing.assert_allclose(hazy.variance_dn - plain.variance_dn, 1.3**2 * (3 + 0.2 * charge), rtol=1e-2)

@@ -1,6 +1,6 @@
 """The noise that methods may see, against the analytic moments of frames and against exposures of flat fields."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -18,6 +18,7 @@ from sensor_model import (
     plan_effects,
     raw_noise,
 )
+from sensor_model.effect_list import EFFECT_LIST, OwnEffect
 from sensor_model.mosaicking import channel_index
 
 EXPOSURE = Exposure(time=0.05)
@@ -37,6 +38,11 @@ CAMERAS = {name: replace(s, **EVEN) for name, s in PRESETS.items() if not name.e
     "two gains": replace(NOISY, dsnu=0.0, prnu=0.0, dual_gain=DualGain(threshold=1500.0, sigma_d=30.0, ratio=8)),
 }
 MATRIX = np.array([[1.6, -0.4, -0.2], [-0.3, 1.5, -0.2], [0.1, -0.6, 1.5]])
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoSettings:
+    """Of an effect that has none."""
 
 
 def assert_variance(samples, expected, *, axis=None):
@@ -132,6 +138,38 @@ def test_close_to_a_full_well_a_bent_response_shrinks_shot_noise_and_pattern(non
     mean = 100 + 0.3 * (9000 - nonlinearity / 1e4 * 9000**2)
     found = raw_noise(sensor, EXPOSURE, channels=1).variance(mean)
     assert found == pytest.approx(np.mean([dn.var() for dn in frames]), rel=0.02)
+
+
+@pytest.mark.parametrize("name", ["bent", "two gains", "uneven response", "rows, columns, bands, dark, bias"])
+def test_the_curve_of_linear_pictures_is_that_of_the_codes_in_their_unit(name):
+    sensor = CAMERAS[name]
+    unit = 1.3 * np.array([2.0, 1.0, 1 / 0.7]) / (sensor.white_dn - 300)
+    raw, linear = raw_noise(sensor, EXPOSURE), linear_noise(sensor, EXPOSURE, digital_gain=1.3)
+    for charge in (0.0, 200.0, 3000.0, 5500.0, 1e5):
+        codes = np.array(raw.black) + 1.7 * charge
+        found = linear.variance(unit * (codes - 300))
+        np.testing.assert_allclose(found - linear.rounding, unit**2 * raw.variance(codes), rtol=1e-9)
+
+
+def test_a_threshold_of_the_low_gain_beyond_the_full_well_lies_on_the_bend_of_the_full_well():
+    low = DualGain(threshold=8000.0, sigma_d=30.0, ratio=8)
+    found = raw_noise(replace(NOISY, nonlinearity=0.2, dual_gain=low), EXPOSURE)
+    np.testing.assert_allclose(np.array(found.switch) - found.black, 1.7 * (8000 - 0.2 / 6000 * 6000**2))
+
+
+def test_an_effect_from_outside_adds_its_electrons_in_codes(monkeypatch):
+    haze = OwnEffect(
+        title="haze", config=NoSettings, sample=lambda signal, pixels, settings: 0 * signal,
+        mean=lambda signal, pixels, settings: 5 + 0 * signal,
+        variance=lambda signal, pixels, settings: 2 + 0.1 * signal, cost=lambda signal, *_: (0 * signal, 0 * signal),
+    )  # fmt: skip
+    monkeypatch.setitem(EFFECT_LIST, "haze", haze)
+    clear = replace(NOISY, prnu=0.0, dark_current=0.0)
+    plain, hazy = raw_noise(clear, EXPOSURE), raw_noise(replace(clear, effects={"haze": {}}), EXPOSURE)
+    np.testing.assert_allclose(np.array(hazy.black) - plain.black, 1.7 * 5)
+    for charge in (0.0, 100.0, 2000.0):
+        more, less = (curve.variance(np.array(curve.black) + 1.7 * charge) for curve in (hazy, plain))
+        np.testing.assert_allclose(more - less, 1.7**2 * (2 + 0.1 * charge), rtol=1e-6)
 
 
 def linear_frames(sensor, photons, **how):

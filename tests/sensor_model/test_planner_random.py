@@ -1,8 +1,13 @@
-"""The planner's bounds on cameras and exposures that nobody chose: planned against whole, in closed form."""
+"""The planner's bounds in closed form: on cameras and exposures that nobody chose, planned against whole; and what it
+counts, written out: each cost at its worst signal, in its own unit, at the gain that reads it.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,8 +23,11 @@ from sensor_model import (
     SensorOptics,
     expose,
     plan_effects,
+    planner,
 )
+from sensor_model.effect_list import EFFECT_LIST, OwnEffect
 from sensor_model.frame import pattern
+from sensor_model.planner import BIAS, SD, SIGNAL
 
 SHAPE = (8, 12)
 PIXELS = SHAPE[0] * SHAPE[1]
@@ -178,3 +186,127 @@ def test_hot_pixels_beside_dark_ones_take_little_memory() -> None:
     finally:
         tracemalloc.stop()
     assert peak < 500e6
+
+
+EXPOSURE = Exposure(time=0.05)
+LOW, HIGH = 20.0, 700.0
+LIMITS = Limits(sd=0.05, row_length=7, shared_views=3)
+CAMERA = Sensor(
+    gain=3.0, eta=0.6, mu_e_sat=2000.0, black_level=200.0, bits=14, sigma_d=4.0, cfa=None, sigma_row=5.0,
+    sigma_column=2.0, dsnu=1.5, prnu=0.05, dark_current=200.0, nonlinearity=0.1, rgb_bias=(5.0, -7.0, 1.0),
+    banding=Banding(amplitude=5.0, period=9), optics=SensorOptics(falloff=(1.0, 0.8, 0.9), crosstalk=0.05),
+    defects=Defects(hot_fraction=0.05, hot_factor=30, rts_fraction=0.05, rts_factor=4), coupling=0.02,
+    dual_gain=DualGain(threshold=500.0, sigma_d=1.0, ratio=8.0),
+)  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoSettings:
+    """Of an effect that has none."""
+
+
+@pytest.fixture
+def glow() -> Iterator[str]:
+    """An effect from outside that costs most at the signal that is brightest: it brings 0.01 S darker by 0.1 S."""
+    EFFECT_LIST["glow"] = OwnEffect(
+        title="glow", config=NoSettings, sample=lambda signal, pixels, settings: -0.1 * signal,
+        mean=lambda signal, pixels, settings: -0.1 * signal, variance=lambda signal, pixels, settings: 0.01 * signal,
+        cost=lambda signal, kept, exposure, settings: (0.01 * signal / kept, 0.1 * signal),
+    )  # fmt: skip
+    yield "glow"
+    del EFFECT_LIST["glow"]
+
+
+def test_every_cost_is_the_one_written_out(glow: str) -> None:
+    """At 20 e- the high gain reads with less noise, at 700 e- the low one."""
+    dark_e, hot = 10.0, 290.0
+    most = HIGH * (1 + 5 * 0.05) + dark_e + hot
+    most += 0.1 * most + 5 * math.sqrt(0.01 * most)
+    dark = 2 * (LOW + 16 + 1 / 108)
+    bright = 2 * (HIGH + 1 + 64 / 108)
+    spill, shown = 4 * 0.05 * (HIGH - LOW), 4 * 0.02 * (most - LOW)
+    found = planner._costs(replace(CAMERA, effects={glow: {}}), EXPOSURE, LOW, HIGH, LIMITS)
+    wanted = {
+        "dark_current": {SD: dark_e / dark, BIAS: 3 * dark_e},
+        "dsnu": {SD: 3 * 1.5**2 / dark},
+        "prnu": {SD: 3 * (0.05 * HIGH) ** 2 / bright},
+        "row_noise": {SD: 7 * 25 / dark},
+        "column_noise": {SD: 7 * 4 / dark},
+        "banding": {SD: 7 * 12.5 / dark},
+        "black_bias": {BIAS: 7},
+        "nonlinearity": {SD: 2 * 5e-5 * (most + 1), SIGNAL: 5e-5 * (most + 1)},
+        "hot_pixels": {SD: hot / dark, BIAS: 3 * hot},
+        "telegraph_noise": {SD: 15 * 16 / dark},
+        "vignetting": {SD: 0.1, SIGNAL: 0.2},
+        "crosstalk": {SD: spill**2 / bright, BIAS: 3 * spill},
+        "coupling": {SD: 0.08 + shown**2 / bright, BIAS: 3 * shown},
+        "glow": {SD: 0.01 * HIGH / (bright / 2), BIAS: 3 * 0.1 * HIGH},
+    }
+    assert found.keys() == wanted.keys()
+    for name, cost in wanted.items():
+        assert found[name][0] == pytest.approx(cost, rel=1e-6), name
+
+
+def test_shapes_count_at_the_darkest_signal_and_room_at_the_fullest_pixel() -> None:
+    plan = plan_effects(replace(CAMERA, tukey_lambda=-0.1, dual_gain=None), EXPOSURE, [LOW, HIGH], LIMITS)
+    kept = LOW + 16 + 1 / 108
+    excess = planner.excess_kurtosis(-0.1)
+    wanted: dict[str, Any] = {
+        "photon_shot": LOW / (2 * kept), "read_noise": 16 / (2 * kept), "read_tails": abs(excess) * (16 / kept) ** 2,
+        "poisson": 0.0665 / math.sqrt(LOW), "full_well": 0, "blooming": 0, "dual_gain": 0,
+    }  # fmt: skip
+    assert {name: plan[name].contribution for name in wanted} == pytest.approx(wanted)
+
+
+@pytest.mark.parametrize("signal", [[-1.0, 5.0], [5.0, -1.0]])
+def test_one_negative_signal_among_others_is_refused(signal: list[float]) -> None:
+    with pytest.raises(ValueError, match="must be"):
+        plan_effects(CAMERA, EXPOSURE, signal)
+
+
+def test_room_above_black_is_that_of_the_darkest_channel_of_the_darkest_pixel() -> None:
+    """In electrons, in units of all noise that one pixel can have."""
+    variance = LOW + 16 + 1 / 108 + 1.5**2 + 5.0**2 + 2.0**2 + 5.0**2 + 15 * 16
+    found = planner._sd_to_black(CAMERA, LOW, 3.0, LIMITS)
+    assert found == pytest.approx(((200 - 7) / 3 + LOW - 3) / math.sqrt(variance))
+    calm = replace(CAMERA, dual_gain=None, defects=None)
+    assert not plan_effects(calm, EXPOSURE, [LOW, HIGH], 0.99).is_on("row_noise")
+    assert plan_effects(replace(calm, black_level=50.0), EXPOSURE, [LOW, HIGH], 0.99).is_on("row_noise")
+
+
+@pytest.mark.parametrize(
+    ("signal", "gain", "read", "coarse"),
+    [
+        (6.0, 0.25, 0.0, True), (8.0, 0.25, 0.0, False),  # a cosine of 0: the signal alone says it
+        (0.0, 0.2, 2.9, True), (0.0, 0.2, 3.0, False),  # no signal: the read noise alone does
+    ],
+)  # fmt: skip
+def test_codes_are_coarse_where_shot_and_read_noise_leave_more_than_a_thousandth(
+    signal: float, gain: float, read: float, coarse: bool
+) -> None:
+    sensor = replace(CAMERA, gain=gain, sigma_d=read, dual_gain=None)
+    assert planner._is_coarse(sensor, signal, 100.0) == coarse
+
+
+@pytest.mark.parametrize(("threshold", "coarse"), [(6.0, True), (8.0, False)])
+def test_codes_of_the_low_gain_are_coarse_or_fine_from_its_threshold_on(threshold: float, coarse: bool) -> None:
+    """The high gain, of 4 DN/e-, reads 1 e- with more noise than that; the low one has 0.25 DN/e-."""
+    low = DualGain(threshold=threshold, sigma_d=0.0, ratio=16.0)
+    assert planner._is_coarse(replace(CAMERA, gain=4.0, dual_gain=low), 1.0, 100.0) == coarse
+
+
+def test_coarse_codes_of_the_darkest_signal_count_beside_bright_ones() -> None:
+    sensor = replace(CAMERA, gain=0.25, sigma_d=0.0, dual_gain=None, defects=None, coupling=0.0, prnu=0.0, optics=None)
+    on = [plan_effects(sensor, EXPOSURE, signal, 0.99).is_on("dsnu") for signal in ([6.0, 50.0], [8.0, 50.0])]
+    assert on == [True, False]
+
+
+def test_an_effect_that_makes_dark_pixels_darker_brings_them_near_to_black(glow: str) -> None:
+    """By a tenth of 20 e- and 5 standard deviations of their noise, not by a tenth of 700 e-."""
+    sensor = replace(CAMERA, effects={glow: {}}, dual_gain=None)
+    lower = 0.1 * LOW + 5 * math.sqrt(0.01 * LOW)
+    room = planner._sd_to_black(sensor, LOW, lower, LIMITS)
+    black = sensor.black_level - sensor.gain * (room - 5.01) * math.sqrt(planner._whole_variance(sensor, LOW, LIMITS))
+    for level, clips in ((black, False), (black - 0.1 * sensor.gain, False), (black - 9 * sensor.gain, True)):
+        plan = plan_effects(replace(sensor, black_level=float(np.ceil(level))), EXPOSURE, [LOW, HIGH], 0.99)
+        assert plan.is_on("row_noise") == clips

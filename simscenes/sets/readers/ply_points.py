@@ -154,7 +154,7 @@ def _text(file: BinaryIO, header: _Header, path: Path) -> dict[str, NDArray[Any]
     if len(rows) < header.count:
         raise ValueError(f"{path} is cut short: it announces {header.count} points and has {len(rows)}; {REMEDY}")
     width = len(header.columns)
-    if short := next((i for i, row in enumerate(rows) if len(row) < width), None):
+    if (short := next((i for i, row in enumerate(rows) if len(row) < width), None)) is not None:
         raise ValueError(f"{path}: point {short} must have {width} numbers, got {len(rows[short])}; {REMEDY}")
     try:
         values = np.array([row[:width] for row in rows], np.float64).reshape(-1, width)

@@ -73,6 +73,7 @@ def test_a_model_that_no_view_sees_gives_way_to_the_pictures(scene: Any) -> None
     behind = np.array([[-50.0, -50, 0], [-50, -51, 0], [-51, -50, 1]])
     first = from_model(behind, pictures(scene), *cameras(scene), 300, np.random.default_rng(0))
     assert first.made_of == {"of the sparse model": 3, "from a plane sweep": 297}
+    assert first.xyz.shape == first.colors.shape == (300, 3)
     assert np.median(scene.distance(first.xyz[3:])) < 0.05
 
 

@@ -13,6 +13,7 @@ from novags.methods.enhanced.config import EnhancedFitConfig
 from novags.methods.enhanced.oracle import OracleConfig
 from novags.methods.enhancers.choice import EnhanceConfig
 from novags.methods.enhancers.guided import enhance
+from novags.methods.enhancers.networks.rows.zero_dce import ZeroDceConfig
 from novags.methods.gaussian_scene import GaussianScene
 from novags.methods.nerf import fitting
 from novags.methods.problem import Problem
@@ -102,6 +103,16 @@ def test_seed_and_extent_are_the_problems_and_the_record_says_so(seen):
     assert result.scene.gaussians is seen["gaussians"]
     assert (result.space, result.losses) == ("enhanced", [{"loss": 0.5}])
     assert result.enhancement["config"] == dataclasses.asdict(CONFIG.enhance)
+
+
+def test_a_network_learns_with_the_seed_of_the_problem(seen):
+    config = dataclasses.replace(CONFIG, enhance=ZeroDceConfig(steps=1, batch=1, crop=8))
+    seeds = (9, 9, 10)
+    first, again, other = (
+        enhance_then_fit.train(dataclasses.replace(problem(), seed=seed), config).targets for seed in seeds
+    )
+    assert torch.equal(first, again)
+    assert not torch.equal(first, other)
 
 
 def test_progress_and_checkpoint_are_passed_on(seen, tmp_path):

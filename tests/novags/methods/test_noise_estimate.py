@@ -239,6 +239,18 @@ def test_views_of_one_camera_are_measured_together() -> None:
     np.testing.assert_allclose(curve.slope, 1e-3, rtol=0.2)
 
 
+def test_the_curve_of_raw_frames_begins_at_their_black_and_ends_at_their_white() -> None:
+    """Two electrons a code over a black of 100 DN; the three colours of a mosaic share one amplifier."""
+    rng = np.random.default_rng(0)
+    light = np.broadcast_to(np.linspace(20, 900, 240)[None, None, :], (2, 240, 240))
+    dn = 100 + 0.5 * rng.poisson(2 * light) + rng.normal(0, 2, light.shape)
+    raw = RawPictures(dn=torch.from_numpy(dn.astype(np.float32)), cfa="RGGB", black=100.0, white=1100.0)
+    curve = noise_estimate.estimate_raw_noise(raw)
+    assert (curve.black, curve.white) == ((100.0,) * 3, (1100.0,) * 3)
+    np.testing.assert_allclose(curve.slope, 0.5, rtol=0.15)
+    np.testing.assert_allclose(curve.variance(np.full(3, 500.0)), 4 + 0.5 * 400, rtol=0.1)
+
+
 def test_a_problem_says_which_noise_it_has_and_what_its_pictures_say(problem) -> None:
     base = problem(sigma=0.01)
     grown = replace(base, views=base.views, shared=Memo())
@@ -248,6 +260,8 @@ def test_a_problem_says_which_noise_it_has_and_what_its_pictures_say(problem) ->
     told = noise_of(informed, "pictures")
     assert (told.origin, known.origin) == ("pictures", "camera")
     assert noise_of(informed, "pictures") is told  # once for all methods
+    others = replace(informed, names=tuple(f"other {name}" for name in informed.names), srgb8=informed.srgb8 / 2)
+    assert noise_of(others, "pictures").linear16.curve != told.linear16.curve
     assert noise_of(grown).origin == "pictures"  # where no camera is known
     with pytest.raises(ValueError, match="source must be camera or pictures, got 'truth'"):
         noise_of(informed, "truth")  # type: ignore[arg-type]

@@ -209,3 +209,9 @@ def test_the_noise_of_linear_pictures_above_their_black_is_that_of_the_pictures(
     found = measured_light(noise, None, torch.zeros(1, 1, 1, 3), ())
     datum = means()
     np.testing.assert_allclose(found.noise.curve.variance(datum - np.array(curve.black)), curve.variance(datum))
+
+
+def test_white_of_linear_pictures_is_that_of_the_camera_or_the_end_of_the_files():
+    curve = replace(CURVE, black=(0.01, 0.02, 0.03), white=(0.5, 0.9, 1.7))
+    found = measured_light(SimpleNamespace(raw=None, linear16=Variance(curve)), None, torch.zeros(1, 1, 1, 3), ())
+    torch.testing.assert_close(found.white, torch.tensor([0.49, 0.88, 0.97]))

@@ -2,6 +2,8 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -116,8 +118,9 @@ def test_forms_of_numbers_that_frameworks_have_are_taken_and_others_are_wrong_re
 def test_a_view_without_any_depth_is_named_where_depth_is_wanted(dark: DarkCapture) -> None:
     depth = dark.test.depth.copy()
     depth[1] = np.nan
-    with pytest.raises(AssertionError, match="view 0008 has no depth where the scene has surfaces"):
-        assert_depth(dark.test, depth, abs_rel=0.01)
+    for bounds in ({"abs_rel": 0.01}, {"coverage": 0.1, "abs_rel": 0.01}):
+        with pytest.raises(AssertionError, match="view 0008 has no depth where the scene has surfaces"):
+            assert_depth(dark.test, depth, **bounds)
 
 
 def test_a_bound_on_what_there_is_not_is_a_mistake_of_the_test(dark: DarkCapture) -> None:
@@ -193,6 +196,18 @@ def test_a_camera_model_with_a_fault_is_found_out(dark: DarkCapture, fault: str)
     frames = FAULTS[fault](dark, np.random.default_rng(0))
     with pytest.raises(AssertionError, match=r"of \(frame - mean\) / sd is"):
         assert_noise(dark.train, frames)
+
+
+def test_pixels_without_noise_must_be_what_they_are() -> None:
+    mean, variance = np.full((2, 8, 8), 100.0), np.full((2, 8, 8), 4.0)
+    mean[:, 0], variance[:, 0] = 4095.0, 0.0
+    raw = np.rint(mean + np.sqrt(variance) * np.random.default_rng(0).standard_normal(mean.shape))
+    views: Any = SimpleNamespace(raw=raw, mean_dn=mean, variance_dn=variance)
+    assert_noise(views, raw)
+    raw = raw.copy()
+    raw[1, 0, 3] = 4092
+    with pytest.raises(AssertionError, match="pixels without noise .* are up to 3 DN off their mean"):
+        assert_noise(views, raw)
 
 
 def test_rows_of_a_camera_that_have_noise_in_common_are_not_taken_for_independent_pixels(

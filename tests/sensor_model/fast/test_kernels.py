@@ -24,6 +24,7 @@ CHAINS = {
     },
     "optics": {"optics": SensorOptics(corner_angle=30, crosstalk=0.02)},
     "dual gain": {"dual_gain": DualGain(threshold=800, sigma_d=20, ratio=6)},
+    "dual gain, heavy tails": {"dual_gain": DualGain(threshold=800, sigma_d=20, ratio=6), "tukey_lambda": -0.07},
     "nonlinear": {"nonlinearity": 0.03},
     "blooming": {"blooming": True},
     "coupling": {"coupling": 0.02, "nonlinearity": 0.01},

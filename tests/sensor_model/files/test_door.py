@@ -122,6 +122,21 @@ def test_a_link_out_of_a_given_folder_is_refused_with_the_option_that_allows_it(
     assert read_text(folder / "link") == read_text(folder / "below" / "secret") == "secret"
 
 
+def test_links_may_lead_to_each_of_several_folders_that_are_allowed_or_named(folder: Path) -> None:
+    others = [folder.parent / name for name in ("first", "second")]
+    for k, other in enumerate(others):
+        other.mkdir()
+        (other / "file").write_text(str(k))
+        (folder / f"link{k}").symlink_to(other / "file")
+    with given([str(other) for other in others]):
+        assert [read_text(folder / f"link{k}") for k in range(2)] == ["0", "1"]
+    for k in range(2):
+        with pytest.raises(ValueError, match="--allow-links"):
+            read_text(folder / f"link{k}")
+    door.allow(others)
+    assert [read_text(folder / f"link{k}") for k in range(2)] == ["0", "1"]
+
+
 def test_a_link_may_lead_to_another_folder_that_was_given(folder: Path) -> None:
     (folder / "link").symlink_to("../outside/secret")
     enter(folder.parent / "outside")

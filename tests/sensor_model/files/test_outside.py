@@ -1,5 +1,6 @@
 """Claims about rows from outside: what a file or a package may say, what is refused and in which words."""
 
+import json
 import pickle
 import subprocess
 import sys
@@ -153,3 +154,27 @@ def test_a_node_with_another_package_is_refused_by_name(
 def test_without_rows_from_outside_workers_are_told_nothing() -> None:
     assert outside.environment(["novags.methods.nova.row"]) == {}
     assert outside.arrive() is None
+
+
+def test_the_content_of_a_package_is_that_of_all_its_modules(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(tmp_path))
+    package = tmp_path / "several_modules_of_a_stranger"
+    (package / "below").mkdir(parents=True)
+    files = [package / name for name in ("__init__.py", "a.py", "below/b.py")]
+    for file in files:
+        file.write_text("x = 1\n")
+    before = outside._content_of(package.name)
+    assert before == outside._content_of(package.name)
+    seen = {before}
+    for file in files:
+        file.write_text("x = 2\n")
+        seen.add(outside._content_of(package.name))
+    assert len(seen) == 4
+
+
+def test_a_worker_is_told_of_every_package_whose_rows_are_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    rows = {"mine": Outside(Origin("json-like", "1.2"), "json", "loads"),
+            "yours": Outside(Origin("csv-like", "3"), "csv", "reader")}  # fmt: skip
+    monkeypatch.setattr(outside, "_installed", lambda: {"novags.methods": rows})
+    (told,) = outside.environment(["csv", "json.decoder", "novags.methods"]).values()
+    assert set(json.loads(told)["packages"]) == {"csv", "json"}

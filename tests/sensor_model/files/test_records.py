@@ -1,6 +1,7 @@
 """Claims about what is parsed: JSON and TOML of bounded depth and numbers, and the place of what is wrong."""
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sensor_model.files.records import DEPTH, parse_json, read_json
+from sensor_model.files.records import DEPTH, check_depth, check_shape, parse_json, read_json
 from sensor_model.files.toml_file import read_toml
 
 PLAIN = st.recursive(
@@ -95,3 +96,36 @@ def test_toml_that_readers_go_wrong_on_is_refused_in_one_line(tmp_path: Path, te
 def test_infinity_in_toml_is_left_to_its_reader(tmp_path: Path) -> None:
     (tmp_path / "a.toml").write_text(f"mu_e_sat = inf\nserial = {2**64 - 1}")
     assert read_toml(tmp_path / "a.toml") == {"mu_e_sat": float("inf"), "serial": 2**64 - 1}
+
+
+SHAPE: Any = {"name": str, "sizes": [int], "scores": {"*": float}, "note?": str}
+WHOLE: dict[str, Any] = {"name": "a", "sizes": [1, 2, 3], "scores": {"x": 0.5, "y": 2}}
+
+
+@pytest.mark.parametrize(
+    ("changes", "place"),
+    [
+        ({"sizes": [1, 2.5, 3]}, "sizes[1]"), ({"sizes": [1, 2, True]}, "sizes[2]"),
+        ({"scores": {"x": 0.5, "y": "2"}}, "scores.y"), ({"note": 3}, "note"), ({"name": None}, "name"),
+    ],
+)  # fmt: skip
+def test_whatever_part_has_another_shape_is_named(changes: dict[str, Any], place: str) -> None:
+    check_shape(WHOLE, SHAPE, "x.json")
+    check_shape(WHOLE | {"note": "b"}, SHAPE, "x.json")
+    with pytest.raises(ValueError, match=rf"x\.json.*{re.escape(place)}"):
+        check_shape(WHOLE | changes, SHAPE, "x.json")
+
+
+@pytest.mark.parametrize("kind", ["list", "object"])
+def test_what_is_nested_too_deeply_beside_flat_parts_is_refused(kind: str) -> None:
+    deep: Any = 0
+    for _ in range(DEPTH - 1):
+        deep = [1, [], deep] if kind == "list" else {"a": 1, "b": {}, "c": deep}
+    check_depth(deep)
+    with pytest.raises(ValueError, match=f"nested more than {DEPTH} deep"):
+        check_depth([[], deep])
+
+
+def test_a_name_that_stands_twice_behind_others_is_said() -> None:
+    with pytest.raises(ValueError, match="'c' stands twice in one object"):
+        parse_json('{"a": 1, "b": 2, "c": 3, "c": 4}', "x.json")

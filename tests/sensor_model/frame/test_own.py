@@ -313,3 +313,13 @@ def test_every_effect_of_the_table_that_is_functions_of_arrays_states_its_own_mo
     assert RIPPLE in rows
     for row in rows:
         assert_effect(row)
+
+
+def test_the_pixel_that_is_moved_most_says_how_far_effects_reach_and_the_worst_signal_what_they_cost():
+    camera = with_ripple(share=0.1, slope=0.5)
+    noise = 0.1 * np.sqrt(100.0**2 + 100.0)
+    assert own.reach(camera, EXPOSURE, 100.0, 3) == pytest.approx(0.5 * 31 + 3 * noise)
+    signal, kept = np.array([500.0, 5.0, 100.0]), np.full(3, 50.0)
+    sd, mean, title = own.costs(camera, EXPOSURE, signal, kept)["ripple"]
+    assert (sd, mean) == pytest.approx((0.01 * (500.0**2 + 500.0) / 100, 0.5 * 24))
+    assert title.startswith("ripple")

@@ -100,6 +100,12 @@ def test_an_interrupted_render_says_what_it_cost_in_all(small_job: Job, tmp_path
     assert other.meta["seconds"]["radiance"] < 600
 
 
+def test_the_seed_varies_the_noise_of_every_view_and_the_places_of_the_points(small_job: Job, tmp_path: Path) -> None:
+    one, other = (small_job(tmp_path / str(seed), seed=seed, spp=2) for seed in (1, 0))
+    assert all(not np.array_equal(one.radiance(i), other.radiance(i)) for i in range(3))
+    assert not np.array_equal(one.points().xyz[:5], other.points().xyz[:5])
+
+
 def test_tracks_reproject_and_show_the_true_surface(small_job: Job, tmp_path: Path) -> None:
     """COLMAP's files through pycolmap, cameras through transforms.json and ten lines of our own: they must agree."""
     small_job(tmp_path)

@@ -60,3 +60,15 @@ def test_only_catalogue_scenes_are_seen_with_a_default_rig() -> None:
     rig = usual_rig(SceneRef.of("cornell:2"), loaded, 5, 9, 7)
     assert np.array_equal(rig.viewmats, default_rig("cornell", 5, 9, 7).viewmats)
     assert (rig.width, rig.height) == (9, 7)
+
+
+def test_all_parameters_of_a_file_are_given_in_their_order_and_each_is_checked() -> None:
+    ref = SceneRef.of("room.xml").given(["b=2", "a=x=y", "c.d-e="], 1)
+    assert (ref.parameters, ref.sensor) == ((("b", "2"), ("a", "x=y"), ("c.d-e", "")), 1)
+    for given, said in (
+        (["a=1", "b"], "must be NAME=VALUE, .* got 'b'"),
+        (["a=1", "b c=2"], "must be NAME=VALUE, .* got 'b c=2'"),
+        (["a=1", "b=1", "b=2"], "must be given once, got b several times"),
+    ):
+        with pytest.raises(ValueError, match=said):
+            SceneRef.of("room.xml").given(given)

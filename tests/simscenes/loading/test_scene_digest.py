@@ -9,6 +9,7 @@ import pytest
 from simscenes.backend import activate
 from simscenes.loading.digest import content_digest
 from simscenes.loading.load import build_scene
+from simscenes.loading.reference import SceneRef
 from simscenes.sets.pictures.png import write_png
 
 
@@ -94,3 +95,34 @@ def test_two_parameters_that_change_places_make_another_scene() -> None:
     names = list(values)
     other = dict(zip(names, reversed(values.values()), strict=True))
     assert content_digest({}, values) == content_digest({}, dict(reversed(values.items()))) != content_digest({}, other)
+
+
+def test_no_byte_counts_for_the_file_or_the_parameter_beside_its_own(tmp_path: Path) -> None:
+    def of_files(*contents: str) -> str:
+        files = tuple(tmp_path / str(i) for i in range(len(contents)))
+        for file, content in zip(files, contents, strict=True):
+            file.write_text(content)
+        return content_digest(files, {})
+
+    assert of_files("ab", "c") == of_files("ab", "c") != of_files("a", "bc")
+    assert content_digest({}, {"ab": "c"}) != content_digest({}, {"a": "bc"})
+
+
+def test_what_a_parameter_chooses_counts_beside_the_file_that_it_is_of(tmp_path: Path) -> None:
+    """The wrap mode of a texture, which Mitsuba lists nowhere."""
+    mi = activate()
+    write_png(tmp_path / "a.png", np.full((4, 4, 3), 90, np.uint8))
+    paint = ('<texture type="bitmap" name="reflectance"><string name="filename" value="a.png"/>'
+             '<string name="wrap_mode" value="$wrap"/></texture>')  # fmt: skip
+
+    def digest(radius: str, *given: str) -> str:
+        ball = (
+            f'<shape type="sphere"><float name="radius" value="{radius}"/><bsdf type="diffuse">{paint}</bsdf></shape>'
+        )
+        text = f'<scene version="3.0.0"><default name="wrap" value="repeat"/>{ball}</scene>'
+        (tmp_path / "scene.xml").write_text(text)
+        return build_scene(SceneRef.of(tmp_path / "scene.xml").given(given), mi).digest
+
+    mirrored = digest("1", "wrap=mirror")
+    assert mirrored == digest("1", "wrap=mirror")
+    assert len({mirrored, digest("1"), digest("1", "wrap=clamp"), digest("2", "wrap=mirror")}) == 4

@@ -7,13 +7,14 @@ import zlib
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from sensor_model.files.door import VARIABLE, allow
 from sensor_model.files.python import python
 from simscenes.backend import activate
 from simscenes.loading.checks import trial
-from simscenes.loading.checks.meshes import check_mesh_file
+from simscenes.loading.checks.meshes import _placed_texture, check_faces, check_mesh_file
 from simscenes.loading.load import build_scene
 
 CORNERS = b"".join(struct.pack("<3f", *p) for p in [(0, 0, 0), (1, 0, 0), (0, 1, 0)])
@@ -79,6 +80,24 @@ def test_a_mesh_that_announces_more_than_it_holds_is_refused_unread(name: str, c
     path = scene_of(tmp_path, name, content)
     with pytest.raises(ValueError, match=rf"{name} announces at least \d+ bytes"):
         build_scene(path, activate())
+
+
+def test_the_second_mesh_of_a_scene_is_checked_as_well() -> None:
+    whole = {"faces": [0, 1, 2], "vertex_positions": [0.0] * 9}
+    params = {f"{name}.{key}": value for name in ("first", "second") for key, value in whole.items()}
+    check_faces(params)
+    with pytest.raises(ValueError, match="a mesh 'second' has 3 vertices, but a face names vertex 3"):
+        check_faces(params | {"second.faces": [0, 1, 3]})
+
+
+def test_the_texture_that_has_to_be_placed_is_found_among_all_inputs() -> None:
+    even, uneven = np.full((2, 2, 3), 0.5), np.arange(12.0).reshape(2, 2, 3)
+    others = {f"{name}.{part}": value for name in "abcdef" for part, value in (("to_uv", None), ("data", even))}
+    assert _placed_texture(others) == ""
+    for name in ("brdf.alpha", "brdf.reflectance", "zeta"):
+        texture = {f"{name}.to_uv": None, f"{name}.data": uneven}
+        assert _placed_texture(others | texture) == name.rpartition(".")[2]
+    assert _placed_texture({"board.to_uv": None, "board.color0": 1.0}) == "board"
 
 
 def test_whole_meshes_of_every_kind_pass_the_check_of_sizes(tmp_path: Path) -> None:
@@ -267,6 +286,8 @@ def test_a_scene_is_tried_once_for_each_variant_version_content_and_choice_of_pa
     for name in versions:
         versions[name] += ".1"
         assert is_tried(), name
+    monkeypatch.setattr(trial, "FORMAT", f"{trial.FORMAT} and more")
+    assert is_tried()
     part.write_text("c")
     assert is_tried()
     scene.write_text("c")

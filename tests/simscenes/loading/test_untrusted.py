@@ -218,3 +218,19 @@ def test_a_fifo_that_a_scene_names_is_refused_and_not_waited_for(folder: Path, t
     os.mkfifo(folder / "pipe.exr")
     content = f'<{tag} type="{kind}"><string name="filename" value="pipe.exr"/></{tag}>'
     refused(write(folder / "scene.xml", wrapped(content)), "pipe.exr must be a regular file, got a FIFO")
+
+
+def test_files_in_every_folder_that_a_scene_searches_are_found_and_checked(tmp_path: Path) -> None:
+    paint = '<texture type="bitmap" name="reflectance"><string name="filename" value="{}"/></texture>'
+    shapes = "".join(f'<shape type="sphere"><bsdf type="diffuse">{paint.format(name)}</bsdf></shape>' for name in "ab")
+    scene, files = tmp_path / "scene.xml", [tmp_path / "first" / "a", tmp_path / "second" / "b"]
+    paths = '<path value="first"/><path value="second"/>'
+    scene.write_text(f'<scene version="3.0.0">{paths}{shapes}</scene>')
+    for file in files:
+        file.parent.mkdir()
+        file.write_bytes(b"")
+    assert set(check_xml(scene, allow_outside=True)) == {scene, *files}
+    files[1].unlink()
+    os.mkfifo(files[1])
+    with pytest.raises(ValueError, match="second/b"):
+        check_xml(scene, allow_outside=True)

@@ -1,6 +1,7 @@
 """Radiance of a view: its mean and variance, samples that stay stratified, repeatability, and targets of error."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from simscenes.backend import activate, using_variant
 from simscenes.camera import camera_color
 from simscenes.loading.load import LoadedScene, build_scene
 from simscenes.render.geometry import geometry_channels
-from simscenes.render.radiance import MAX_FILM_SPP, RenderedView, RenderMethod, grid_spp
+from simscenes.render.radiance import MAX_FILM_SPP, RenderedView, RenderMethod, grid_spp, view_seed
 from simscenes.render.sensors import sensor_dict
 from simscenes.render.sequences import count_fireflies, summary
 from simscenes.rigs import intrinsics
@@ -44,6 +45,19 @@ def test_what_stands_before_the_cameras_is_in_the_picture_however_large_the_scen
     inner = ball & np.roll(ball, 1, 0) & np.roll(ball, -1, 0) & np.roll(ball, 1, 1) & np.roll(ball, -1, 1)
     assert inner.sum() > 4
     assert radiance(loaded, rig, spp=4).mean[inner] == pytest.approx(np.tile([1, 0, 0], (inner.sum(), 1)))
+
+
+def test_the_noise_of_a_view_is_known_by_its_camera_its_size_the_seed_and_the_part() -> None:
+    rig = orbit_rig(3, 16, 12, 50.0, radius=3.0)
+    longer = replace(rig, Ks=rig.Ks * np.array([1.1, 1.1, 1.0])[:, None])
+    seeds = [
+        view_seed(rig, 0, 7, 1, 2), view_seed(rig, 1, 7, 1, 2), view_seed(longer, 0, 7, 1, 2),
+        view_seed(replace(rig, width=15), 0, 7, 1, 2), view_seed(replace(rig, height=13), 0, 7, 1, 2),
+        view_seed(rig, 0, 8, 1, 2), view_seed(rig, 0, 7, 0, 2), view_seed(rig, 0, 7, 1, 3),
+    ]  # fmt: skip
+    assert len(set(seeds)) == len(seeds)
+    turned = replace(rig, viewmats=rig.viewmats[::-1], Ks=rig.Ks[::-1])
+    assert view_seed(turned, 2, 7, 1, 2) == seeds[0]  # not by its place
 
 
 def test_variance_estimate_equals_the_spread_over_many_seeds(ball_on_plane: Scene, view: Camera) -> None:

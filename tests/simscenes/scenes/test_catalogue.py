@@ -78,26 +78,6 @@ def test_the_seed_and_nothing_else_varies_a_scene(name: str) -> None:
     assert build_scene(f"{name}:1", mi).digest != first.digest
 
 
-def test_every_scene_draws_from_its_seed_and_a_number_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What the slow test above sees in the whole of each scene, seen where it begins."""
-
-    class Begun(Exception):
-        pass
-
-    def begin(start: list[int]) -> None:
-        raise Begun(*start)
-
-    activate()
-    monkeypatch.setattr(np.random, "default_rng", begin)
-    own = dict[str, tuple[Any, ...]]()
-    for name in SCENES:
-        with pytest.raises(Begun) as begun:
-            SCENES[name](5)
-        seed, *own[name] = begun.value.args
-        assert seed == 5, name
-    assert len({tuple(numbers) for numbers in own.values()}) == len(own)
-
-
 def test_a_sculpture_is_turned_enlarged_and_moved_with_its_normals() -> None:
     """By hand: a quarter turn about z takes x to y and y to -x."""
     activate()
@@ -133,6 +113,15 @@ def test_noise_has_the_spectrum_it_promises(beta: float) -> None:
     use = (radius > 2) & (radius < 60)
     slope = np.polyfit(np.log(radius[use]), 0.5 * np.log(power[use]), 1)[0]
     assert slope == pytest.approx(-beta, abs=0.05)
+
+
+def test_a_texture_that_is_remembered_is_that_of_all_its_arguments() -> None:
+    def made(text: str, ink: str = "000000", seed: int = 0) -> bytes:
+        return t.lettering((32, 48), np.random.default_rng(seed), text, ink=ink, paper="ffffff").tobytes()
+
+    first = made("A")
+    assert made("A") == first
+    assert len({first, made("B"), made("A", ink="ff0000"), made("A", seed=1)}) == 4
 
 
 def test_textures_are_possible_reflectances() -> None:

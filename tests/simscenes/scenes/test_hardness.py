@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from simscenes import default_rig
+from simscenes import SCENES, default_rig
 from simscenes.backend import activate
 from simscenes.loading.load import build_scene
 from simscenes.render.geometry import geometry_channels
@@ -53,3 +53,31 @@ def facts(name: str) -> dict[str, float]:
 )
 def test_a_scene_is_hard_for_what_it_says(name: str, fact: str, least: float, most: float) -> None:
     assert least <= facts(name)[fact] <= most
+
+
+def test_every_scene_draws_from_its_seed_and_a_number_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a slow test of the catalogue sees in the whole of each scene, seen where it begins."""
+
+    class Begun(Exception):
+        pass
+
+    def begin(start: list[int]) -> None:
+        raise Begun(*start)
+
+    activate()
+    monkeypatch.setattr(np.random, "default_rng", begin)
+    own = dict[str, tuple[Any, ...]]()
+    for name in SCENES:
+        with pytest.raises(Begun) as begun:
+            SCENES[name](5)
+        seed, *own[name] = begun.value.args
+        assert seed == 5, name
+    assert len({tuple(numbers) for numbers in own.values()}) == len(own)
+
+
+def test_fine_and_many_coloured_things_are_there_in_full() -> None:
+    activate()
+    lattice = SCENES["thicket"](0)["lattice"]
+    assert lattice.vertex_count() == 8 * (19 + 12)  # two crossed strips a wire
+    card = SCENES["market"](0)["card_0"]["bsdf"]
+    assert "[96, 32]" in str(card)  # three chips of 32 px, of three colours

@@ -282,3 +282,19 @@ def test_missing_views_are_skipped_and_counted_once(tmp_path: Path) -> None:
     assert len(caught) == 1
     assert loaded.names == ("a", "c")
     assert np.allclose(loaded.rig.viewmats, rig.viewmats[[1, 0]])
+
+
+def test_one_photograph_that_can_be_transparent_and_one_lens_that_distorts_are_enough(tmp_path: Path) -> None:
+    rig, names = small_rig(3), ["a.png", "b.png", "c.png"]
+    make_images(tmp_path, names, 40, 30)
+    transforms(tmp_path, rig, names, fl_x=30.0)
+    plain = load_set(tmp_path)
+    assert (plain.transparent, plain.lenses) == (False, None)
+    cv2.imwrite(str(tmp_path / "c.png"), np.full((30, 40, 4), 90, np.uint8))
+    content = json.loads((tmp_path / "transforms.json").read_text())
+    content["frames"][1]["k1"] = 0.02
+    (tmp_path / "transforms.json").write_text(json.dumps(content))
+    views = load_set(tmp_path)
+    assert views.transparent
+    assert views.lenses is not None
+    assert [lens.distortion[0] for lens in views.lenses] == [0, 0.02, 0]

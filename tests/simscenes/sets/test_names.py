@@ -81,6 +81,20 @@ def test_names_are_safe_short_and_differ_even_without_case() -> None:
     check_names(sorted(names, key=file_of), len(names))
 
 
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        (["a", "b/c"], r"must be safe as file names, got 'b/c': 'b_c' would be"),
+        (["a", "b", "a"], "must be different and sorted"),
+        (["a", "c", "b"], "must be different and sorted"),
+        (["a", "b", "b"], "must be different and sorted"),
+    ],
+)
+def test_no_name_of_a_set_may_be_unsafe_or_out_of_order(names: list[str], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        check_names(names, len(names))
+
+
 def test_ordinary_names_stay_as_they_are_and_in_their_order(tmp_path: Path) -> None:
     """Rationale: results of earlier captures are found by these names."""
     assert load_set(folder_of(tmp_path, [f"images/{k:04d}.png" for k in range(10)])).names == tuple(numbered(10))

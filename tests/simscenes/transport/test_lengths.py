@@ -126,3 +126,13 @@ def test_a_chain_ends_at_a_matt_surface_and_lamps_that_are_chosen_count_after_it
     )
     assert two.chained == pytest.approx(two.light.sum(0).mean(), rel=1e-5)
     assert two.chained > 0.1
+
+
+def test_another_seed_and_another_view_follow_other_paths() -> None:
+    mi = activate()
+    loaded, rig = build_scene(hard_scene(mi), mi), one_view((0.3, -4, 2), (0, 0, 0.5), 8)
+    twice = Rig(viewmats=rig.viewmats[[0, 0]], Ks=rig.Ks[[0, 0]] * [[[1.0]], [[1 + 1e-9]]], width=8, height=8)
+    first, again, other = (light_by_length(mi, loaded, twice, 4, 99, SPP, seed).light for seed in (3, 3, 4))
+    np.testing.assert_array_equal(first, again)
+    assert (first[1:] != other[1:]).mean() > 0.5
+    assert (first[1:, 0] != first[1:, 1]).mean() > 0.5

@@ -11,7 +11,16 @@ from simscenes import Rig, orbit_rig
 from simscenes.rigs import intrinsics
 from simscenes.transport import pilot
 from simscenes.transport.lengths import Lengths
-from simscenes.transport.pilot import Pilot, Share, beyond, changed_light, missing_light, pilot_rig
+from simscenes.transport.pilot import (
+    Pilot,
+    Share,
+    beyond,
+    changed_light,
+    missing_light,
+    pilot_rig,
+    root_mean_squares,
+    scaled,
+)
 
 RNG = np.random.default_rng(4)
 
@@ -36,6 +45,32 @@ def test_missing_light_is_never_negative_and_one_pixel_has_no_spread() -> None:
     found = missing_light(noisy, noisy + [[[[0.5], [1.5]]]])  # what is cut is brighter, by luck
     assert found.estimate == 0
     assert found.upper == pytest.approx(3 * np.sqrt(0.5 / 2) / 2)
+
+
+def in_blocks(*values: float) -> np.ndarray:
+    """A view of four blocks of 4 x 4 pixels, each of one value."""
+    return np.repeat(np.repeat(np.array(values).reshape(1, 2, 2), 4, 1), 4, 2)[..., None] * np.ones(3)
+
+
+@pytest.mark.parametrize("darkest", [1.0, 0.0])
+def test_where_a_change_lies_is_told_by_brightness_each_part_relative_to_its_own_light(darkest: float) -> None:
+    light, change = [8.0, darkest, 4.0, 2.0], [3.0, 0.1, 1.0, 0.4]
+    whole = np.sqrt(np.mean(np.square(change))) / np.mean(light)
+    found = root_mean_squares(in_blocks(*change), in_blocks(*light))
+    assert found == pytest.approx((whole, 0.1 / max(darkest, 8e-12), 0.4 / 2, 1 / 4, 3 / 8))
+
+
+def test_noise_within_blocks_is_no_change() -> None:
+    noise = np.random.default_rng(0).normal(0, 1, (1, 64, 64, 1)) * np.ones(3)
+    whole, *_ = root_mean_squares(noise + 0.5, np.ones((1, 64, 64, 3)))
+    assert whole == pytest.approx(0.5, rel=0.1)  # as if it were: 0.56
+
+
+def test_every_part_of_a_change_grows_with_its_limit_and_with_what_lies_beyond() -> None:
+    parts = (0.1, 0.2, 0.3, 0.4, 0.5)
+    assert scaled(parts, 0.06, 0.02) == pytest.approx([3 * part for part in parts])
+    assert scaled(parts, 0.06, 0.0) == (0.06,) * 5
+    assert beyond(Share(0.03, 0.08, parts), 1, 0.75).rms == pytest.approx([4 * part for part in parts])
 
 
 def test_beyond_sums_a_geometric_series() -> None:
@@ -208,5 +243,6 @@ def test_a_pilot_renders_each_kind_of_path_once(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(pilot, "render_pilot", rendered)
     p = Pilot(None, None, None, None, "scalar", 0.004, 5, spp=32)  # type: ignore[arg-type]
     assert not p.allow_outside  # unless it is told so, it reads no file outside the folder of the scene
-    assert [p.render(*a)[0] for a in (("path", 8), ("path", 8, 5), ("path", 8), ("volpath", 8))] == [1, 2, 1, 3]
-    assert asked == [("path", 8, 2, 5, 32), ("path", 8, 5, 5, 32), ("volpath", 8, 2, 5, 32)]
+    renders = (("path", 8), ("path", 8, 5), ("path", 8), ("volpath", 8), ("path", 9))
+    assert [p.render(*a)[0] for a in renders] == [1, 2, 1, 3, 4]
+    assert asked == [("path", 8, 2, 5, 32), ("path", 8, 5, 5, 32), ("volpath", 8, 2, 5, 32), ("path", 9, 2, 5, 32)]

@@ -152,7 +152,11 @@ def cost(monkeypatch: pytest.MonkeyPatch) -> Any:
             assert (light, surface) == ("llvm_ad_spectral", "in spectra")
             return (once, twice)[bounces - 1]
 
-        monkeypatch.setattr(spectra, "light_and_surface", lambda mi, loaded, rig, seed: (mi, loaded))
+        def seen(mi: Any, loaded: Any, rig: Any, seed: int) -> Any:
+            assert seed == 5
+            return mi, loaded
+
+        monkeypatch.setattr(spectra, "light_and_surface", seen)
         monkeypatch.setattr(spectra, "color_error", told)
 
     return is_

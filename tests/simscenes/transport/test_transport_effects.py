@@ -268,3 +268,19 @@ def test_deep_paths_do_without_roulette() -> None:
     start, effect = roulette_effect(pilots(), True, 128, True)
     assert (start, effect.on) == (2, False)
     assert effect.reason.startswith("light persists to depth 128: roulette would make it rare and bright")
+
+
+@pytest.mark.parametrize("coloured", [0, 1])
+def test_any_colour_of_the_extinction_makes_a_medium_chromatic(coloured: int) -> None:
+    """A grid of densities, two colours, and what says nothing of the extinction."""
+    grey, red = np.full(3, 0.5), np.array([0.9, 0.5, 0.5])
+    parts = [grey, grey]
+    parts[coloured] = red
+    plain: dict[str, Any] = {
+        "albedo.value": red, "sigma_t.data": np.linspace(0, 1, 8).reshape(2, 2, 2, 1), "sigma_t.to_world": np.eye(4),
+    }  # fmt: skip
+    mi: Any = SimpleNamespace(traverse=lambda medium: medium)
+    assert not effects._is_chromatic(mi, plain | {"sigma_t.first": grey, "sigma_t.second": grey})
+    assert effects._is_chromatic(mi, plain | {"sigma_t.first": parts[0], "sigma_t.second": parts[1]})
+    grid = np.stack([np.full((2, 2, 2), share) for share in (0.5, 0.5, 0.6)], -1)
+    assert effects._is_chromatic(mi, plain | {"sigma_t.first": grey, "sigma_t.grid": grid})

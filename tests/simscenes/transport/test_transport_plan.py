@@ -239,3 +239,13 @@ def test_the_method_of_a_job_is_that_of_its_plan(monkeypatch: pytest.MonkeyPatch
     assert method(SPECTRAL).variant == "llvm_ad_spectral"
     assert weighed[0] == (loaded, (0.25, 0.75))
     assert weighed[-1] == (("again", "spectral", True), (0.25, 0.75))
+
+
+def test_where_omitted_light_lies_is_summed_over_all_omitted_effects_and_even_where_not_known() -> None:
+    names = made().names
+    off = [name for name in names if name not in (APERTURE, MOTION)]  # blurs are no light
+    known = {off[0]: (0.1, 0.2, 0.3, 0.4, 0.5), off[1]: (1.0, 2.0, 3.0, 4.0, 5.0), APERTURE: (9.0,) * 5}
+    even = sum(e.contribution for e in made().effects if e.name in off[2:])
+    assert made(rms=known).bias == pytest.approx([1.1 * k + even for k in range(1, 6)])
+    assert made(*off).bias == (0.0,) * 5
+    assert all(math.isnan(value) for value in made(bound=math.nan).bias)

@@ -125,7 +125,7 @@ class Stage:
         assert set(kw) <= {"lr1", "niter1", "lr2", "niter2", "opt_depth", "matching_conf_thr"}
         assert all(Path(name).is_file() for name in imgs)
         assert len(set(imgs)) == len(imgs) == len({pair[0]["idx"] for pair in pairs_in})
-        self.truth.asked |= kw | {"shared_intrinsics": shared_intrinsics}
+        self.truth.asked |= kw | {"shared_intrinsics": shared_intrinsics, "seed": torch.initial_seed()}
         Path(cache_path).mkdir(parents=True)
         return Sparse(self.truth, Path(cache_path))
 
@@ -155,7 +155,7 @@ class Cloud(Cameras):
     def compute_global_alignment(self, init=None, niter_PnP=10, **kw):
         assert init == "mst"
         assert set(kw) == {"niter", "schedule", "lr"}
-        self.truth.asked |= kw
+        self.truth.asked |= kw | {"seed": torch.initial_seed()}
         self.poses = self.aligned
 
     def _of_view(self, what: str, view: int) -> np.ndarray:

@@ -111,11 +111,12 @@ def test_the_least_confident_points_are_left_out(shown):
     assert share_off(everything) == pytest.approx(0.25, abs=5 * (0.25 * 0.75 / 3000) ** 0.5 + 0.01)
 
 
-def test_settings_reach_the_alignment(shown):
+def test_settings_and_the_seed_reach_the_alignment(shown):
     scene, truth, adapter, config = shown()
     chosen = type(config)(checkpoint=config.checkpoint, pairs="swin-2", iterations=7)
-    adapter(scene.pictures, as_dark(scene.pictures), n_points=10, config=chosen)
+    adapter(scene.pictures, as_dark(scene.pictures), n_points=10, config=chosen, seed=5)
     assert truth.asked.pop("scene_graph") == "swin-2"
+    assert truth.asked.pop("seed") == 5
     wanted = {
         Dust3rConfig: {"niter": 7, "schedule": "cosine", "lr": 0.01},
         Mast3rConfig: {"niter1": 7, "niter2": 7, "lr1": 0.07, "lr2": 0.014, "opt_depth": True,

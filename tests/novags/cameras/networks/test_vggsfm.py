@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from novags.cameras.align import align
+from novags.cameras.networks import vggsfm
 from novags.cameras.networks.vggsfm import vggsfm_cameras
 from novags.cameras.sources.vggsfm import VggsfmConfig
 
@@ -113,6 +114,16 @@ def test_aligned_cameras_are_the_true_ones_and_unplaced_views_are_left_out(shown
         "query_frame_num": "3", "max_query_pts": "2048", "seed": "5",
     }  # fmt: skip
     assert not Path(given["SCENE_DIR"]).exists()
+
+
+def test_the_seed_of_the_program_chooses_the_points_too(shown, monkeypatch):
+    scene, config = shown()
+    seeds = []
+    monkeypatch.setattr(vggsfm, "_run", lambda config, root, seed, device: seeds.append(seed))
+    monkeypatch.setattr(vggsfm, "_model", lambda *_: None)
+    monkeypatch.setattr(vggsfm, "from_reconstruction", lambda model, dark, count, seed, **_: seeds.append(seed))
+    vggsfm_cameras(scene.pictures, as_dark(scene.pictures), n_points=100, config=config, seed=5)
+    assert seeds == [5, 5]
 
 
 def test_where_the_model_has_fewer_points_they_are_filled_up_between_those_a_view_observes(shown):

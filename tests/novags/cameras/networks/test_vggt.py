@@ -178,6 +178,16 @@ def test_the_least_confident_depths_give_no_points(shown):
     assert share == pytest.approx(130 / 518, abs=5 * (0.25 * 0.75 / 3000) ** 0.5 + 0.01)
 
 
+def test_the_seed_chooses_the_points(shown):
+    scene, config = shown(40, 30)
+    first, second, other = (
+        vggt_cameras(scene.pictures, as_dark(scene.pictures), n_points=50, config=config, seed=seed).points
+        for seed in (3, 3, 4)
+    )
+    assert torch.equal(first, second)
+    assert not torch.equal(first, other)
+
+
 def test_weights_in_safetensors_are_read_and_other_weights_are_refused(shown, tmp_path):
     scene, _ = shown(40, 30)
     dark = as_dark(scene.pictures)

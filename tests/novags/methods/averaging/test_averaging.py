@@ -1,6 +1,7 @@
 """The average over views against a world of formulas: what it shows, how noisy it is, whom it believes."""
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -367,3 +368,14 @@ def test_of_two_surfaces_that_fall_onto_one_pixel_the_nearer_is_seen() -> None:
         depth[y::4, x::4] = 2.0  # one in each of the large pixels
         known = SurfaceCamera.of(np.eye(4), K, depth, np.broadcast_to([0.0, 0.0, -1.0], (8, 8, 3)))
         np.testing.assert_allclose(seen_together([known], np.eye(4), wide, 2, 2).inverse_depth, 1 / 2.0)
+
+
+def test_a_saved_average_holds_every_exposure_with_its_camera_and_surface(tmp_path: Path) -> None:
+    scene = gathered(World())
+    scene.save(tmp_path)
+    with np.load(tmp_path / "scene" / "exposures.npz") as found:
+        np.testing.assert_array_equal(found["viewmats"], np.stack(AROUND))
+        np.testing.assert_array_equal(found["Ks"], np.stack([World.K] * 6))
+        np.testing.assert_allclose(found["planes"], np.stack([c.planes for c in scene.sources]), rtol=1e-6, atol=1e-6)
+        np.testing.assert_allclose(found["exposures"], scene.exposures, rtol=1e-6)
+        np.testing.assert_allclose(found["variances"], scene.variances, rtol=1e-6)

@@ -8,6 +8,7 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
+from novags.methods.denoised import trainer
 from novags.methods.denoised.config import AdaptConfig, DenoiseConfig, DenoisedConfig, parts
 from novags.methods.denoised.estimate import estimate_all
 from novags.methods.denoised.measured import measured
@@ -15,7 +16,7 @@ from novags.methods.denoised.trainer import train
 from novags.methods.denoised.weights import load_weights
 from novags.methods.enhancers.applying import enhanced, enhanced_like, enhanced_view
 from novags.methods.inputs import LacksInput
-from novags.methods.noise import camera_noise
+from novags.methods.noise import Variance, camera_noise
 from novags.methods.problem import Problem, RawPictures, encode
 from novags.splats import FitConfig, Views
 from sensor_model import PRESETS, Exposure, develop, develop_linear, expose, from_linear16
@@ -129,6 +130,28 @@ def test_the_pictures_of_another_run_are_refused(problem: Problem, tmp_path: Pat
     save_file({**tensors, "linear": tensors["linear"][:, :5].contiguous()}, kept)
     with pytest.raises(ValueError, match="damaged"):
         train(problem, CONFIG, checkpoint=checkpoint)
+
+
+@pytest.mark.parametrize("what", ["electrons", "mask", "noise", "unit", "settings", "seed", "weights"])
+def test_denoised_pictures_are_others_with_any_other_input(
+    problem: Problem, what: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pictures = measured(problem)
+    curve = pictures.noise.curve
+    changed = {
+        "electrons": {"electrons": pictures.electrons + 1}, "mask": {"mask": 1 - pictures.mask},
+        # Three times the electrons' unit, and the read noise in electrons stays what it is.
+        "unit": {"unit": 3 * pictures.unit,
+                 "noise": Variance(replace(curve, offset=tuple(9 * value for value in curve.offset)))},
+        "noise": {"noise": Variance(replace(curve, offset=tuple(2 * value for value in curve.offset)))},
+    }.get(what, {})  # fmt: skip
+    own = trainer._identity(pictures, CONFIG.denoise, 5)
+    assert torch.equal(own, trainer._identity(measured(problem), CONFIG.denoise, 5))
+    if what == "weights":
+        monkeypatch.setattr(trainer, "read_bytes", lambda _: b"others")
+    config = replace(CONFIG.denoise, turns=1) if what == "settings" else CONFIG.denoise
+    other = trainer._identity(replace(pictures, **changed), config, 6 if what == "seed" else 5)
+    assert not torch.equal(own, other)
 
 
 def test_without_known_noise_it_says_what_it_lacks(problem: Problem) -> None:

@@ -10,7 +10,7 @@ from novags.methods.denoised.network import LARGEST_READ_VARIANCE, Network, Netw
 from novags.methods.denoised.packing import filled, mask_of
 from sensor_model.params import Cfa
 
-SMALL = NetworkConfig(widths=(6, 8, 10), blocks=(1, 1, 1))
+SMALL = NetworkConfig(widths=(8, 12, 16), blocks=(1, 1, 1))
 
 
 def random_network(seed: int = 0) -> Network:

@@ -2,15 +2,16 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 
-from novags.methods.denoised import blend
+from novags.methods.denoised import blend, denoiser
 from novags.methods.denoised import recorrupted as module
 from novags.methods.denoised.anscombe import Anscombe
-from novags.methods.denoised.config import AdaptConfig
+from novags.methods.denoised.config import AdaptConfig, DenoiseConfig
 from novags.methods.denoised.estimate import estimate, estimate_all
 from novags.methods.denoised.measured import MeasuredPictures
 from novags.methods.denoised.network import Network, NetworkConfig
@@ -159,6 +160,34 @@ def test_views_from_the_first_to_the_last_say_how_far_it_is_followed(monkeypatch
     training.blend(Network(SMALL))
     assert [level for level, _ in asked] == [1, 3, 5, 7, 9, 11, 13, 15]
     assert [variance for _, variance in asked] == pytest.approx([2 * level for level, _ in asked])
+
+
+def test_the_seed_chooses_the_crops_and_the_noise_that_is_added() -> None:
+    pictures = capture(torch.rand(3, 3, 16, 16, generator=torch.Generator().manual_seed(0)) + 5, 1.0, None)
+    network, config = Network(SMALL), AdaptConfig(steps=1, crop=8, batch=2)
+    losses: list[float] = []
+    for seed in (3, 3, 4):
+        adapt(network, pictures, config, seed=seed, progress=lambda *said: losses.append(said[2]["denoiser"]))
+    assert losses[0] == losses[1] != losses[2]
+    crops = [Adaptation(network, pictures, config, seed)._crops()[0] for seed in (3, 3, 4)]
+    assert torch.equal(crops[0], crops[1])
+    assert not torch.equal(crops[0], crops[2])
+
+
+def test_single_pictures_are_denoised_with_the_seed_and_all_turns_that_are_asked_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    pictures = capture(torch.full((1, 3, 16, 16), 9.0), 1.0, None)
+    asked: list[int] = []
+
+    def adapted(*_: object, seed: int, **__: object) -> SimpleNamespace:
+        asked.append(seed)
+        return SimpleNamespace(estimate_all=lambda pictures, turns: asked.append(turns) or pictures.electrons)
+
+    monkeypatch.setattr(denoiser, "adapt", adapted)
+    found = denoiser.denoised(pictures, DenoiseConfig(adapt=AdaptConfig(), turns=3), seed=7)
+    assert asked == [7, 3]
+    torch.testing.assert_close(found, pictures.linear(pictures.electrons))
 
 
 def test_the_rate_falls_from_all_of_it_along_half_a_cosine() -> None:

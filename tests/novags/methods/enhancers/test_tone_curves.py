@@ -10,6 +10,7 @@ from novags.methods import METHODS, chosen
 from novags.methods.enhancers import ENHANCERS, enhancement_record, recorded
 from novags.methods.enhancers.applying import enhanced_like
 from novags.methods.enhancers.curves.curve import geometric_mean_params
+from novags.methods.enhancers.curves.equalise import mean_curve
 from novags.methods.enhancers.rows.drago import DragoConfig
 from novags.methods.enhancers.rows.equalise import EqualiseConfig
 from novags.methods.enhancers.rows.gain import GainConfig
@@ -126,6 +127,13 @@ def test_typical_parameters_lie_between_those_they_are_of(config):
     middle = enhanced_like(dark, config, enhancer.typical(params))
     low, high = (bound([s.numpy() for s in shown], axis=0) for bound in (np.min, np.max))
     assert ((middle.numpy() >= low - 1e-9) & (middle.numpy() <= high + 1e-9)).all()
+
+
+def test_the_typical_equalisation_is_the_mean_of_the_curves_at_every_luma_of_any() -> None:
+    first, second = np.array([[0.0, 0.4, 1.0], [0.0, 0.8, 1.0]]), np.array([[0.0, 0.5, 1.0], [0.2, 0.4, 0.6]])
+    lumas, shares = mean_curve([first, second])
+    np.testing.assert_allclose(lumas, [0, 0.4, 0.5, 1])
+    np.testing.assert_allclose(shares, [0.1, (0.8 + 0.36) / 2, (0.8 + 0.2 / 6 + 0.4) / 2, 0.8])
 
 
 def test_typical_factors_are_geometric_means_of_the_pictures_with_light():

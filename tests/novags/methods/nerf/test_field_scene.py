@@ -56,6 +56,10 @@ def test_a_saved_field_renders_the_same_when_it_is_read(tmp_path: Path, shading:
     for one, other in zip(scene.render(some_views()), found.render(some_views()), strict=True):
         assert torch.equal(one, other)
     assert found.facts() == scene.facts()
+    numbers_of = [tensor.numel() for tensor in scene.field.tensors().values()]
+    assert len(numbers_of) > 2
+    facts = scene.facts()["field"]
+    assert (facts["parameters"], facts["bytes"]) == (sum(numbers_of), 4 * sum(numbers_of))
 
 
 def test_a_folder_without_a_field_has_none_and_a_damaged_one_is_refused(tmp_path: Path) -> None:

@@ -242,6 +242,12 @@ def test_s3im_of_i2_takes_a_square_of_so_many_pixels_at_most(monkeypatch: pytest
     assert float(i2.loss_of(dark, lit, medium, batch, dark, aim, config)) == pytest.approx(want, rel=1e-9)
 
 
+def test_every_iteration_of_i2_compares_other_squares_of_the_same_pixels() -> None:
+    first, again, later = (i2._shuffled(16, iteration) for iteration in (3, 3, 4))
+    assert first.tolist() == again.tolist() != later.tolist()
+    assert sorted(later.tolist()) == list(range(16))
+
+
 def test_the_mapping_of_i2_moves_the_mean_and_multiplies_the_contrast() -> None:
     image = torch.tensor([[0.1, 0.12, 0.05], [0.2, 0.0, 0.13]])
     found = i2.mapped(image, 0.1, 0.45, 6.0)

@@ -29,6 +29,7 @@ from novags.splats import FitConfig, LearningRates
 from novags.splats.training.losses import ssim
 from tests.novags.methods.rivals.short import SHORT
 
+FIRST = FitConfig(iterations=1)
 CONFIG = GaussianDkConfig(fit=SHORT, init_scale=0.7)
 
 
@@ -181,3 +182,9 @@ def test_the_lit_exposure_is_looked_for_where_the_cameras_were_refined_to(
     monkeypatch.setattr(module.GaussianScene, "render", noted)
     module.train(given, GaussianDkConfig(fit=FitConfig(iterations=1)))
     torch.testing.assert_close(seen, [given.views.viewmats + shift])
+
+
+def test_the_response_begins_as_the_seed_of_the_problem_says(problem: Callable[..., Problem]) -> None:
+    module, config = importlib.import_module("novags.methods.rivals.gaussian_dk"), GaussianDkConfig(fit=FIRST)
+    values = [module.train(problem(seed=seed), config).scene.response.values for seed in (3, 3, 4)]
+    assert values[0] == values[1] != values[2]

@@ -13,12 +13,13 @@ PAINT = np.array([0.5, 0.3, 0.2])
 COLOUR_MODEL = np.array([[0.06, 0.63, 0.27], [0.30, 0.04, -0.35], [0.34, -0.60, 0.17]])
 
 
-def slowly(light: np.ndarray) -> np.ndarray:
+def slowly(light: np.ndarray, scale: float) -> np.ndarray:
     """W by its definition: float64, pixel by pixel, every filter as a sum over a window."""
     height, width = light.shape[:2]
     spectral = light @ COLOUR_MODEL.T
-    offsets = np.arange(-4, 5)
-    smooth = np.exp(-0.5 * offsets.astype(float) ** 2)
+    reach = math.ceil(4 * scale)
+    offsets = np.arange(-reach, reach + 1)
+    smooth = np.exp(-0.5 * (offsets / scale) ** 2)
     slope = offsets * smooth
     smooth, slope = smooth / smooth.sum(), slope / (slope * offsets).sum()
 
@@ -38,9 +39,10 @@ def slowly(light: np.ndarray) -> np.ndarray:
     return found
 
 
-def test_it_is_what_its_definition_says() -> None:
+@pytest.mark.parametrize("scale", [0.7, 1.0, 1.5])
+def test_it_is_what_its_definition_says(scale: float) -> None:
     light = np.random.default_rng(1).uniform(0.1, 1, (9, 12, 3))
-    np.testing.assert_allclose(invariant(torch.tensor(light)).numpy(), slowly(light), rtol=1e-9)
+    np.testing.assert_allclose(invariant(torch.tensor(light), scale).numpy(), slowly(light, scale), rtol=1e-9)
 
 
 def test_one_paint_in_light_that_falls_off_has_the_slope_of_its_logarithm_times_its_colour() -> None:

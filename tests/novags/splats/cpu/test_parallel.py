@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 import torch
 
-from novags.splats import FitConfig, Gaussians, McmcConfig, Views, fit, photometric_loss
+from novags.splats import FitConfig, Gaussians, McmcConfig, Views, fit, photometric_loss, rasterize
 from novags.splats.cpu.memory import SMALL, Recycler, empty
 from novags.splats.cpu.parallel import run
+from novags.splats.cpu.raster import sort
 from novags.splats.training.updates.activate import activate
 from novags.splats.training.updates.mcmc import add_noise
 
@@ -204,3 +205,25 @@ def test_results_have_the_same_bits_for_any_number_of_threads(call):
         torch.set_num_threads(before)
     for others in results[1:]:
         assert all(torch.equal(a, b) for a, b in zip(results[0], others, strict=True))
+
+
+def test_gaussians_of_all_parts_are_drawn_nearest_first_in_whatever_order_they_lie(four_threads):
+    """Depths from 1 to 9 that fall, rise or come at random from part to part."""
+    g = torch.Generator().manual_seed(0)
+    n = 3 * sort.GRAIN + 5
+    depth = 1 + 8 * torch.rand(n, generator=g).sort().values
+    means = torch.cat([depth[:, None] * (torch.rand(n, 2, generator=g) - 0.5), depth[:, None]], 1)
+    colors = torch.rand(n, 3, generator=g)
+    viewmat, K = torch.eye(4)[None], torch.tensor([[[24.0, 0, 12], [0, 24, 12], [0, 0, 1]]])
+
+    def drawn(order):
+        quats = torch.tensor([1.0, 0, 0, 0]).expand(n, 4).contiguous()
+        scales, opacities = 0.02 * depth[order, None].expand(n, 3).contiguous(), torch.full((n,), 0.3)
+        image, _, _ = rasterize(
+            means[order], quats, scales, opacities, colors[order], viewmat, K, 24, 24, sh_degree=None, backend="numba"
+        )
+        return image
+
+    rising = drawn(torch.arange(n))
+    for order in (torch.arange(n - 1, -1, -1), torch.randperm(n, generator=g)):
+        torch.testing.assert_close(drawn(order), rising, rtol=1e-4, atol=1e-5)

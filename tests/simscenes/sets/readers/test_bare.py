@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from simscenes.sets.readers.bare import survey
+from simscenes.sets.readers.bare import named_as_masks, picture_files, survey, without_masks
 
 
 def picture(folder: Path, name: str, width: int, height: int, *, focal: int | None = None, maker: str = "") -> Path:
@@ -51,3 +51,37 @@ def test_a_focal_length_on_film_is_scaled_by_the_diagonal_of_the_picture(tmp_pat
     files = [picture(tmp_path, f"{i}.jpg", 360, 240, focal=50) for i in range(2)]
     assert [one.focal for one in survey(files, None)[0]] == pytest.approx([500.0] * 2, rel=1e-4)
     assert [one.focal for one in survey(files, 180)[0]] == pytest.approx([250.0] * 2, rel=1e-4)
+
+
+def test_pictures_are_looked_for_in_the_folder_then_in_images_then_below_and_never_in_hidden_folders(
+    tmp_path: Path,
+) -> None:
+    def found() -> list[str]:
+        return [str(file.relative_to(tmp_path)) for file in picture_files(tmp_path)]
+
+    for folder in ("day/.thumbnails", ".cache", "images"):
+        (tmp_path / folder).mkdir(parents=True)
+    picture(tmp_path / "day" / ".thumbnails", "a.jpg", 8, 6)
+    picture(tmp_path / ".cache", "a.jpg", 8, 6)
+    assert found() == []
+    picture(tmp_path / "day", "b.jpg", 8, 6)
+    picture(tmp_path / "day", "a.jpg", 8, 6)
+    assert found() == ["day/a.jpg", "day/b.jpg"]
+    picture(tmp_path / "images", "c.jpg", 8, 6)
+    assert found() == ["images/c.jpg"]
+    picture(tmp_path, "d.jpg", 8, 6)
+    assert found() == ["d.jpg"]
+
+
+def test_masks_among_photographs_are_told_by_their_names_folders_and_two_colours(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    (tmp_path / "masks").mkdir()
+    photographs = [tmp_path / name for name in ("a.jpg", "b.jpg", "c.jpg", "mask_of_clay.jpg")]
+    for file in photographs:
+        Image.fromarray(rng.integers(0, 255, (24, 32, 3), np.uint8)).save(file)
+    named = [picture(tmp_path, name, 32, 24) for name in ("a.jpg.png", "b_mask.png", "masks/z.png")]
+    drawn = tmp_path / "y.png"
+    Image.fromarray(np.repeat(np.eye(24, 32, dtype=np.uint8)[..., None] * 255, 3, 2)).save(drawn)
+    assert named_as_masks([*photographs, *named, drawn]) == named
+    assert without_masks([*photographs, *named, drawn]) == (photographs, [*named, drawn])
+    assert without_masks([*named, drawn])[1] == []  # if all would be masks, none is

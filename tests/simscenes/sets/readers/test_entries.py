@@ -11,6 +11,7 @@ import pytest
 from simscenes import load_set, orbit_rig
 from simscenes.rigs import opencv_to_opengl
 from simscenes.sets.pictures.png import write_png
+from simscenes.sets.readers.entries import without_nulls
 
 WIDTH, HEIGHT = 40, 30
 RIG = orbit_rig(3, WIDTH, HEIGHT, 50.0, radius=3.0)
@@ -124,6 +125,24 @@ def test_a_rolling_shutter_is_said_with_what_it_costs(tmp_path: Path) -> None:
     assert note.endswith("each degree that the camera turns while its rows are read shifts the last rows by 1 px")
 
 
+def test_a_rolling_shutter_of_one_frame_is_said_too(tmp_path: Path) -> None:
+    (note,) = notes_of(folder_of(tmp_path, frame={"rolling_shutter": [0, 0, 0.03]}))
+    assert "(rolling_shutter): this is not undone" in note
+
+
+def test_all_that_is_not_used_is_said_together(tmp_path: Path) -> None:
+    own = {"depth_file_path": "depth/1.png"}
+    (note,) = notes_of(folder_of(tmp_path, frame=own, white_transparent=True, n_frames=2))
+    said = "white_transparent (white pixels are transparent), n_frames (how many frames to take), depth_file_path"
+    assert f"not used: {said} (depth)" in note
+
+
+def test_frames_that_are_no_frames_are_left_for_their_own_check() -> None:
+    content = {"a": None, "frames": [{"k1": None, "w": 3}, 7]}
+    assert without_nulls(content) == {"frames": content["frames"]}
+    assert without_nulls({"frames": [{"k1": None}, {"w": 3, "k2": None}]}) == {"frames": [{}, {"w": 3}]}
+
+
 def test_a_camera_that_turns_during_an_exposure_is_said_with_the_pixels_of_its_turn(tmp_path: Path) -> None:
     """A turn of .02 rad at a focal length of 60 px is 1.2 px, whether poses or speeds state it."""
     start, end = opencv_to_opengl(RIG.viewmats)[1], opencv_to_opengl(RIG.viewmats)[1].copy()
@@ -131,9 +150,16 @@ def test_a_camera_that_turns_during_an_exposure_is_said_with_the_pixels_of_its_t
     end[:3, :3] = end[:3, :3] @ [[c, 0, s], [0, 1, 0], [-s, 0, c]]
     ends = {"transform_matrix_start": start.tolist(), "transform_matrix_end": end.tolist()}
     (note,) = notes_of(folder_of(tmp_path, frame=ends))
+    assert "(transform_matrix_start, transform_matrix_end): this is not undone" in note
     assert "by up to 1.15 degrees, which shifts pixels by up to 1.2 px" in note
     (note,) = notes_of(folder_of(tmp_path, frame={"camera_angular_velocity": [0, 1.0, 0]}, rolling_shutter_time=0.02))
     assert "by up to 1.15 degrees, which shifts pixels by up to 1.2 px" in note
+    content = json.loads((tmp_path / "transforms.json").read_text())
+    for frame, speed in zip(content["frames"], (0.1, 0.2, 2.0), strict=True):
+        frame["camera_angular_velocity"] = [0, speed, 0]
+    (tmp_path / "transforms.json").write_text(json.dumps(content))
+    (note,) = notes_of(tmp_path)
+    assert "by up to 2.29 degrees" in note  # in the frame that turns fastest
     assert notes_of(folder_of(tmp_path, frame=dict.fromkeys(ends, start.tolist()))) == []
 
 
@@ -177,4 +203,6 @@ def test_a_byte_order_mark_changes_nothing(tmp_path: Path) -> None:
 def test_two_focal_lengths_that_contradict_each_other_are_said(tmp_path: Path) -> None:
     (note,) = notes_of(folder_of(tmp_path, camera_angle_x=2.0))
     assert "states two focal lengths: fl_x gives 60 px, camera_angle_x gives 12.84 px; fl_x counts" in note
+    (note,) = notes_of(folder_of(tmp_path, frame={"fl_y": 60.0, "camera_angle_y": 2.0}))
+    assert "fl_y gives 60 px, camera_angle_y gives 9.631 px; fl_y counts" in note
     assert notes_of(folder_of(tmp_path, camera_angle_x=float(2 * np.arctan(20 / 60)))) == []

@@ -76,6 +76,14 @@ def test_every_pixel_of_an_undistorted_picture_is_what_its_ray_sees(lens: Distor
     assert (error > 12).mean() < 0.004, (error > 12).mean()
 
 
+@pytest.mark.parametrize("lens", [lens_of(120, -0.1), lens_of(130, 0.06), lens_of(60, -0.27, 0.07)])
+def test_the_pinhole_is_the_widest_that_shows_no_border(lens: DistortedPinhole) -> None:
+    pinhole = lens._inscribed(W, H)
+    wider = pinhole * [[0.999, 1, 1], [1, 0.999, 1], [1, 1, 1]]
+    assert lens._shows(pinhole, W, H, 0.0)
+    assert not lens._shows(wider, W, H, 0.0)
+
+
 @pytest.mark.parametrize("lens", [lens_of(80, -0.27), lens_of(70, -0.3), lens_of(80, -0.2, 0, 0.02, 0.01, -0.05)])
 def test_a_lens_whose_polynomial_turns_well_inside_the_picture_is_refused_with_its_share(
     lens: DistortedPinhole,

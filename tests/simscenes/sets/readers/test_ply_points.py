@@ -46,6 +46,11 @@ def ply(form: str, *, columns: str = "xyz rgb", before: bool = False, count: int
     return ("\n".join(head) + "\n").encode() + extra * before + table.tobytes()
 
 
+def with_rows(rows: bytes) -> bytes:
+    """Points in text of which these rows are the first."""
+    return ply("ascii", columns="xyz").replace(b"end_header\n", b"end_header\n" + rows)
+
+
 @pytest.mark.parametrize("form", ["ascii", "binary_little_endian", "binary_big_endian"])
 @pytest.mark.parametrize("columns", ["xyz rgb", "XYZ n rgb", "xyz n rgb16", "xyz dc"])
 @pytest.mark.parametrize("before", [False, True])
@@ -65,6 +70,13 @@ def test_points_and_colours_come_out_of_any_ply(form: str, columns: str, before:
         (ply("ascii", columns="rgb"), "must have points with x, y and z, it has red, green, blue"),
         (ply("ascii").replace(b"end_header\n", b"end_header\nnan 0 0 1 1 1\n"), "must be finite, 1 of 50 are not"),
         (b"ply\nformat ascii 1.0\nelement vertex 1\nproperty list uchar int x\nend_header\n", "with plain properties"),
+        (ply("ascii").replace(b"property float y", b"property list uchar int y"), "with plain properties.*got .* list"),
+        (
+            ply("binary_little_endian", before=True).replace(b"property int view_id", b"property list int int view_id"),
+            "points must come before elements of lists",
+        ),
+        (with_rows(b"0 0 0\n1 1\n"), "point 1 must have 3 numbers, got 2"),
+        (with_rows(b"0 0\n1 1 1\n"), "point 0 must have 3 numbers, got 2"),
         (b"ply\nformat zip 1.0\nelement vertex 1\nproperty float x\nend_header\n", "got format zip, 1 points"),
     ],
 )
@@ -72,6 +84,14 @@ def test_what_is_no_file_of_points_is_refused_with_the_reason(content: bytes, me
     (tmp_path / "a.ply").write_bytes(content)
     with pytest.raises(ValueError, match=message):
         read_ply_points(tmp_path / "a.ply")
+
+
+def test_a_third_of_a_colour_is_none(tmp_path: Path) -> None:
+    whole, grey = ply("ascii"), ply("ascii", columns="xyz")
+    for name, content in (("a", whole.replace(b"uchar green", b"uchar other")), ("b", grey)):
+        (tmp_path / f"{name}.ply").write_bytes(content)
+    found = [read_ply_points(tmp_path / f"{name}.ply").rgb for name in "ab"]
+    assert len(np.unique(found)) == 1
 
 
 def test_of_very_many_points_an_even_choice_is_read(tmp_path: Path) -> None:

@@ -152,3 +152,11 @@ def test_our_own_sets_are_read_without_a_word(tmp_path: Path) -> None:
         write_cameras(folder, [str(i) for i in range(VIEWS)], RIG, held_out=held_out)
         views, said = opened(folder)
         assert (views.test_indices, len(views), said) == (expected, VIEWS, [])
+
+
+def test_the_same_text_counts_before_the_same_path_and_that_before_another_suffix(tmp_path: Path) -> None:
+    for name in ("a.png", "b.png"):
+        write_png(tmp_path / name, np.zeros((SIZE, SIZE, 3), np.uint8))
+    assert places_of(["./a.png", "a.png"], ["a.png", "./a.png"], tmp_path) == [[1], [0]]
+    assert places_of(["./b.png"], ["b", "b.png"], tmp_path) == [[1]]
+    assert places_of(["./lost.jpg"], ["b.png", "lost"], tmp_path) == [[1]]

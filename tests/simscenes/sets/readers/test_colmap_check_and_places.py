@@ -1,7 +1,8 @@
-"""Claims about which COLMAP model of a folder is read, and about models without a file of points."""
+"""Claims about which COLMAP model of a folder is read, and about files of points that are damaged or not there."""
 
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pycolmap
@@ -10,7 +11,7 @@ import pytest
 from simscenes import SparsePoints, load_set, orbit_rig, write_cameras
 from simscenes.rigs import Rig
 from simscenes.sets.pictures.png import write_png
-from simscenes.sets.readers.colmap import find_colmap
+from simscenes.sets.readers.colmap import find_colmap, read_points
 from simscenes.sets.readers.colmap_check import check_model, count_images
 from tests.miniatures import RIG, VIEWS, colmap, dark_picture
 
@@ -173,3 +174,52 @@ def test_masks_among_the_pictures_are_said_and_are_no_photographs_without_a_came
     with pytest.warns(UserWarning, match=r"3 masks beside the pictures of .* are not used \(0.*: all pixels count"):
         views = load_set(tmp_path)
     assert (len(views), views.unregistered) == (VIEWS, ())
+
+
+XYZ = np.array([[0.1, 0.0, 0.0], [0.0, 0.2, 0.1], [-0.1, 0.0, 0.3]])
+RGB = np.array([[50, 100, 150], [150, 200, 250], [250, 0, 50]], np.uint8)
+
+
+def with_tracks(folder: Path) -> Path:
+    """A model of two images and three points that both show."""
+    rig = orbit_rig(2, 40, 30, 55, radius=2.0)
+    for i in range(2):
+        write_png(folder / "images" / f"{i}.png", np.full((30, 40, 3), 90, np.uint8))
+    points = SparsePoints.seen(rig, XYZ, RGB, np.ones((2, 3), bool), exact=True)
+    write_cameras(folder, ["0", "1"], rig, points=points)
+    return folder / "sparse" / "0"
+
+
+@pytest.mark.parametrize("text", [False, True])
+def test_all_points_of_a_model_are_read_with_their_colours_and_tracks(text: bool, tmp_path: Path) -> None:
+    model = with_tracks(tmp_path)
+    if text:
+        as_text(model)
+    assert sorted(check_model(model).values()) == ["0.png", "1.png"]
+    files = [tmp_path / "images" / f"{i}.png" for i in range(2)]
+    found = read_points(tmp_path / "images", model, files, orbit_rig(2, 40, 30, 55, radius=2.0))
+    assert found is not None
+    np.testing.assert_allclose(found.xyz, XYZ)
+    np.testing.assert_array_equal(found.rgb, RGB)
+    assert (len(found.error), len(found.view)) == (3, 6)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        (lambda words: words[:-1], "incomplete line"),
+        (lambda words: [*words[:8], "9", *words[9:]], "image"),
+        (lambda words: [words[0], "nan", *words[2:]], "points3D"),
+        (lambda words: ["77", *words[1:]], "does not have|shows point"),
+    ],
+    ids=["cut short", "a track of no image", "nowhere", "another number"],
+)
+def test_the_second_point_of_a_text_model_is_checked_as_well(wrong: Any, said: str, tmp_path: Path) -> None:
+    file = as_text(with_tracks(tmp_path)) / "points3D.txt"
+    lines = file.read_text().splitlines()
+    (second,) = (i for i, line in enumerate(lines) if line.startswith("2 "))
+    lines[second] = " ".join(wrong(lines[second].split()))
+    file.write_text("\n".join([*(line for line in lines if line.startswith("#")),
+                               *sorted(line for line in lines if not line.startswith("#"))]) + "\n")  # fmt: skip
+    with pytest.raises(ValueError, match=said):
+        check_model(file.parent)

@@ -7,6 +7,7 @@ from typing import Literal
 import pytest
 
 from novags.methods import METHODS, VARIANTS, chosen, with_variants
+from novags.methods.knob import MethodKnob
 from novags.methods.nova.config import ConsistencyConfig, NovaConfig
 from novags.methods.nova.denoiser_config import FAST_DENOISER, DenoiserConfig
 from novags.methods.variant import Variant, parse_variant, read_variants
@@ -178,3 +179,13 @@ def test_a_file_without_variants_says_what_it_lacks(tmp_path: Path, text: str, m
     (tmp_path / "mine.toml").write_text(text)
     with pytest.raises(ValueError, match=message):
         read_variants(tmp_path / "mine.toml")
+
+
+def test_a_knob_of_one_setting_has_every_value_and_finds_the_one_that_a_configuration_has() -> None:
+    knob = MethodKnob.of("inner.share", (0.25, 0.5, 0.75), "so", ("fit",))
+    assert knob.settings == {share: {"inner.share": share} for share in (0.25, 0.5, 0.75)}
+    assert [knob.default(flattened(Outer(inner=Inner(share=share)))) for share in (0.75, 0.25)] == [0.75, 0.25]
+    two = {"fast": {"count": 3, "fast": True}, "slow": {"count": 3, "fast": False}}
+    assert MethodKnob(why="so", settings=two).default(flattened(Outer())) == "slow"
+    with pytest.raises(ValueError, match=r"no setting of the knob agrees .*\(count = 4, fast = False\)"):
+        MethodKnob(why="so", settings=two).default(flattened(Outer(count=4)))
