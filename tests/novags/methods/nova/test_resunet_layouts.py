@@ -2,6 +2,7 @@
 
 import copy
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import torch
@@ -10,54 +11,19 @@ from torch import Tensor, nn
 
 from novags.methods.nova.denoiser import Denoiser
 from novags.methods.nova.denoiser_config import FAST_DENOISER, DenoiserConfig, ResUNetConfig
-from novags.methods.nova.resunet import FEW, Convolution, GlobalMean, InstanceNorm, ResUNet, SqueezeExcite
+from novags.methods.nova.resunet import FEW, Convolution, InstanceNorm, ResUNet, SqueezeExcite
 
 # 96 px: maps of few pixels at the bottleneck, which take another way, and of many above
 WIDE = ResUNetConfig(widths=(8, 16, 24), bottleneck=32)
 
 
-class _Plain(ResUNet):
-    """The network of torch's own modules, in the order of the paper."""
-
-    def __init__(self, config: ResUNetConfig) -> None:
-        super().__init__(config)
-        for module in list(self.modules()):
-            for name, child in list(module.named_children()):
-                if isinstance(child, Convolution):
-                    a, b, edge = child.in_channels, child.out_channels, child.kernel_size[0]
-                    setattr(module, name, nn.Conv2d(a, b, edge, padding=edge // 2, padding_mode="reflect"))
-                elif isinstance(child, GlobalMean):
-                    setattr(module, name, nn.AdaptiveAvgPool2d(1))
-                elif isinstance(child, InstanceNorm):
-                    setattr(
-                        module, name, nn.Sequential(nn.InstanceNorm2d(child.num_features), nn.LeakyReLU(child.slope))
-                    )
-
-    def _run(self, x: Tensor) -> Tensor:
-        skips = []
-        for level in self.encoder:
-            x = level(x.contiguous())
-            skips.append(x)
-            x = F.max_pool2d(x, 2)
-        x = self.bottleneck(x)
-        for reduce, decode, skip in zip(self.reduce[::-1], self.decoder[::-1], skips[::-1], strict=True):
-            x = reduce(F.interpolate(x, scale_factor=2, mode="bilinear", align_corners=False))
-            x = decode(torch.cat([x, skip], 1))
-        return self.head(x)
+@pytest.fixture(autouse=True)
+def on_path(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(Path(__file__).resolve().parents[4] / "scripts"))
 
 
 def views(size: int, count: int = 2) -> Tensor:
     return torch.rand(count, size, size, 3, generator=torch.Generator().manual_seed(1))
-
-
-def pair(config: DenoiserConfig, size: int) -> list[Denoiser]:
-    """A denoiser, and one with the plain network and torch's plain optimiser; the same weights and draws."""
-    found = [Denoiser(views(size), config, total_steps=10, seed=0) for _ in range(2)]
-    plain = _Plain(config.network)
-    plain.load_state_dict(found[0].network.state_dict())
-    found[1].network = plain
-    found[1].optimizer = torch.optim.Adam(plain.parameters(), lr=config.learning_rate)
-    return found
 
 
 @pytest.mark.parametrize(
@@ -66,7 +32,9 @@ def pair(config: DenoiserConfig, size: int) -> list[Denoiser]:
     ids=["several pixels at the bottleneck", "fast", "the paper's"],
 )
 def test_loss_and_gradients_of_a_step_are_those_of_torchs_modules(config):
-    ours, plain = pair(config, 96)
+    from denoising.plain import pair
+
+    ours, plain = pair(views(96), config)
     losses = [denoiser.loss() for denoiser in (ours, plain)]
     for loss in losses:
         loss.backward()
@@ -76,8 +44,9 @@ def test_loss_and_gradients_of_a_step_are_those_of_torchs_modules(config):
 
 
 def test_steps_are_those_of_torchs_modules_and_optimiser():
-    config = replace(FAST_DENOISER, crop=32, batch=2)
-    ours, plain = pair(config, 40)
+    from denoising.plain import pair
+
+    ours, plain = pair(views(40), replace(FAST_DENOISER, crop=32, batch=2))
     losses = [[denoiser.train_step() for _ in range(5)] for denoiser in (ours, plain)]
     assert losses[0] == pytest.approx(losses[1], rel=1e-5)
 
