@@ -67,7 +67,9 @@ class Denoiser:
             # A network that starts at zero starts at the blur.
             for parameter in self.network.head.parameters():
                 nn.init.zeros_(parameter)
-        self.optimizer = torch.optim.Adam(self.network.parameters(), lr=config.learning_rate)
+        # On a CPU fused, which takes the memory of all its tensors as it comes: they must have one layout.
+        fused = True if enhanced.device.type == "cpu" else None
+        self.optimizer = torch.optim.Adam(self.network.parameters(), lr=config.learning_rate, fused=fused)
         self.generator = torch.Generator(enhanced.device).manual_seed(seed)
         self.views: list[int] = []  # of the last batch
 
@@ -183,6 +185,9 @@ class Denoiser:
             ValueError: If it belongs to a network of another shape, or is damaged.
         """
         unpack("denoiser", tensors, self.network, self.optimizer)
+        for parameter, moments in self.optimizer.state.items():
+            for name in ("exp_avg", "exp_avg_sq"):
+                moments[name] = torch.empty_like(parameter).copy_(moments[name])  # in the layout of the parameter
         steps, state = tensors.get("denoiser.steps"), tensors.get("denoiser.generator")
         like = self.generator.get_state()
         if state is None or state.shape != like.shape or state.dtype != like.dtype:

@@ -1,37 +1,95 @@
 """Deep Attention-ResUNet, the denoiser's network (paper, section 4.3.2; supplement, section B.3).
 
-Images are [B, D, H, W] of any size; the network works on sizes padded to a multiple of 2**levels.
+Images are [B, D, H, W] of any size; the network works on sizes padded to a multiple of 2**levels. Its maps have the
+channels of a pixel beside each other in memory (channels last), from the first layer to the last and on the way back:
+the layout in which convolutions on a CPU are fastest, and a third of a step were copies to another one and back.
 """
+
+from typing import Any
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
 from novags.methods.nova.denoiser_config import ResUNetConfig
+from novags.methods.nova.layers.normalise import CONSTANT, EPS, normalised
+
+FEW = 128  # pixels, those of all images of a batch together
 
 
 class InstanceNorm(nn.InstanceNorm2d):
-    """Instance normalisation without parameters; a map that is constant up to rounding becomes 0, with no slope.
+    """Instance normalisation without parameters, and LeakyReLU; a map that is constant up to rounding becomes 0.
 
-    Divided by its own deviation, as any other, it would be its rounding errors times 316 (1 / sqrt(eps)). Some layers
-    of that turn a black view into noise of order one, and its gradients into infinities.
+    Such a map has no slope either. Divided by its own deviation, as any other, it would be its rounding errors times
+    316 (1 / sqrt(eps)). Some layers of that turn a black view into noise of order one, and its gradients into
+    infinities.
     """
+
+    def __init__(self, channels: int, slope: float) -> None:
+        """slope: of the rectifier below zero; 1 for none."""
+        super().__init__(channels, eps=EPS)
+        self.slope = slope
 
     def forward(self, x: Tensor) -> Tensor:
         """x: [B, D, H, W], normalised per image and channel."""
+        if x.device.type == "cpu" and x.dtype != torch.float64:
+            return normalised(x.float(), self.slope).to(x.dtype)
+        return self.plain(x)
+
+    def plain(self, x: Tensor) -> Tensor:
+        """The same by torch's operators, on any device."""
         low, high = x.detach().amin((2, 3), keepdim=True), x.detach().amax((2, 3), keepdim=True)
-        # 1e-6: some float32 roundings of a sum of order one, such as a convolution's
-        constant = high - low <= 1e-6 * (1 + torch.maximum(high, -low))
-        return torch.where(constant, 0.0, super().forward(x))
+        constant = high - low <= CONSTANT * (1 + torch.maximum(high, -low))
+        return F.leaky_relu(torch.where(constant, 0.0, super().forward(x)), self.slope)
 
 
-def _norm(channels: int, kind: str) -> nn.Module:
-    return InstanceNorm(channels) if kind == "instance" else nn.Identity()
+class Convolution(nn.Conv2d):
+    """A convolution in the precision of its input, with weights in float32."""
+
+    def __init__(self, channels_in: int, channels_out: int, edge: int) -> None:
+        """edge: of the kernel, 1 or 3; images are continued by reflection."""
+        super().__init__(channels_in, channels_out, edge, padding=edge // 2, padding_mode="reflect")
+
+    def forward(self, x: Tensor) -> Tensor:
+        """x: [B, channels_in, H, W]."""
+        assert self.bias is not None
+        weight, bias = self.weight.to(x.dtype), self.bias.to(x.dtype)
+        if x.device.type != "cpu" or x.numel() > FEW * self.in_channels:
+            return self._conv_forward(x, weight, bias)
+        # Few pixels have fewer values than the kernels, which a convolution brings into an order of its own and their
+        # gradients back; a product of matrices takes them as they are.
+        height, width = x.shape[-2:]
+        edge, margin = self.kernel_size[0], self.kernel_size[0] // 2
+        wide = (F.pad(x, (margin,) * 4, mode="reflect") if margin else x).movedim(1, -1)
+        taps = [wide[:, i : i + height, j : j + width] for i in range(edge) for j in range(edge)]
+        return F.linear(torch.cat(taps, -1), weight.movedim(1, -1).flatten(1), bias).movedim(-1, 1)
 
 
-def _conv(channels_in: int, channels_out: int, kind: str) -> list[nn.Module]:
-    """Reflection padding, 3 x 3 convolution, normalisation."""
-    return [nn.Conv2d(channels_in, channels_out, 3, padding=1, padding_mode="reflect"), _norm(channels_out, kind)]
+class _GlobalMean(torch.autograd.Function):
+    """Mean over the pixels of x [B, D, H, W], [B, D, 1, 1], whose slope takes no room: torch writes it out, slowly."""
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor) -> Tensor:
+        ctx.shape = x.shape
+        return x.mean((2, 3), keepdim=True)
+
+    @staticmethod
+    def backward(ctx: Any, slope: Tensor) -> Tensor:
+        return (slope / (ctx.shape[2] * ctx.shape[3])).expand(ctx.shape)
+
+
+class GlobalMean(nn.Module):
+    """Global average pooling."""
+
+    def forward(self, x: Tensor) -> Tensor:
+        """x: [B, D, H, W] to [B, D, 1, 1]."""
+        return _GlobalMean.apply(x)
+
+
+def _conv(channels_in: int, channels: int, kind: str, slope: float) -> list[nn.Module]:
+    """3 x 3 convolution, normalisation, LeakyReLU."""
+    rectifier = nn.LeakyReLU(slope, inplace=True) if slope != 1 else nn.Identity()
+    return [Convolution(channels_in, channels, 3), InstanceNorm(channels, slope) if kind == "instance" else rectifier]
 
 
 class SqueezeExcite(nn.Module):
@@ -41,10 +99,10 @@ class SqueezeExcite(nn.Module):
         super().__init__()
         hidden = max(1, channels // reduction)
         self.gate = nn.Sequential(
-            nn.AdaptiveAvgPool2d(1),
-            nn.Conv2d(channels, hidden, 1),
+            GlobalMean(),
+            Convolution(channels, hidden, 1),
             nn.ReLU(),
-            nn.Conv2d(hidden, channels, 1),
+            Convolution(hidden, channels, 1),
             nn.Sigmoid(),
         )
 
@@ -62,14 +120,14 @@ class GatedLevel(nn.Module):
     def __init__(self, channels_in: int, channels: int, config: ResUNetConfig) -> None:
         super().__init__()
         kind = config.normalization
-        self.enter = nn.Sequential(*_conv(channels_in, channels, kind), nn.LeakyReLU(0.2))
+        self.enter = nn.Sequential(*_conv(channels_in, channels, kind, 0.2))
         self.plain = config.blocks == "plain"
         if self.plain:
-            self.second = nn.Sequential(*_conv(channels, channels, kind), nn.LeakyReLU(0.2))
+            self.second = nn.Sequential(*_conv(channels, channels, kind, 0.2))
             return
         self.residual = nn.Sequential(
-            *_conv(channels, channels, kind), nn.LeakyReLU(0.2), *_conv(channels, channels, kind),
-            SqueezeExcite(channels, config.se_reduction),
+            *_conv(channels, channels, kind, 0.2), nn.Identity(),  # checkpoints count as when the rectifier stood here
+            *_conv(channels, channels, kind, 1.0), SqueezeExcite(channels, config.se_reduction),
         )  # fmt: skip
 
     def forward(self, x: Tensor) -> Tensor:
@@ -77,7 +135,7 @@ class GatedLevel(nn.Module):
         x = self.enter(x)
         if self.plain:
             return self.second(x)
-        return F.leaky_relu(x + self.residual(x), 0.2)
+        return F.leaky_relu_(x + self.residual(x), 0.2)
 
 
 class ResUNet(nn.Module):
@@ -93,9 +151,9 @@ class ResUNet(nn.Module):
         )
         self.bottleneck = GatedLevel(inputs[-1], self.config.bottleneck, self.config)
         below = (*self.config.widths[1:], self.config.bottleneck)
-        self.reduce = nn.ModuleList(nn.Conv2d(b, a, 1) for a, b in zip(self.config.widths, below, strict=True))
+        self.reduce = nn.ModuleList(Convolution(b, a, 1) for a, b in zip(self.config.widths, below, strict=True))
         self.decoder = nn.ModuleList(GatedLevel(2 * a, a, self.config) for a in self.config.widths)
-        self.head = nn.Conv2d(self.config.widths[0], channels, 1)
+        self.head = Convolution(self.config.widths[0], channels, 1)
 
     def forward(self, images: Tensor) -> Tensor:
         """Denoise images.
@@ -113,9 +171,9 @@ class ResUNet(nn.Module):
         right = max(2 * multiple, -(-width // multiple) * multiple) - width
         mode = "reflect" if down < height and right < width else "replicate"
         x = F.pad(images, (0, right, 0, down), mode=mode) if down or right else images
-        with torch.autocast(images.device.type, torch.bfloat16, enabled=self.config.precision == "bfloat16"):
-            x = self._run(x)
-        return x[..., :height, :width].float()
+        x = x.contiguous(memory_format=torch.channels_last)
+        x = self._run(x.bfloat16() if self.config.precision == "bfloat16" else x)
+        return x[..., :height, :width].to(images.dtype)
 
     def _run(self, x: Tensor) -> Tensor:
         skips = []
@@ -125,6 +183,8 @@ class ResUNet(nn.Module):
             x = F.max_pool2d(x, 2)
         x = self.bottleneck(x)
         for i in reversed(range(len(skips))):
-            x = self.reduce[i](F.interpolate(x, scale_factor=2, mode="bilinear", align_corners=False))
+            # The paper enlarges first. Both are linear and the weights of a pixel add up to one, so this is the same,
+            # with a quarter of the pixels to reduce and half of the channels to enlarge.
+            x = F.interpolate(self.reduce[i](x), scale_factor=2, mode="bilinear", align_corners=False)
             x = self.decoder[i](torch.cat([x, skips[i]], 1))
         return self.head(x)

@@ -113,8 +113,11 @@ def nearly_constant(setting: Setting) -> float:
 
 @PART.case("maps of one pixel, sizes that 16 does not divide", bound=2e-3, unit=LARGEST)
 def any_size(setting: Setting) -> float:
-    """With and without normalisation. Repeated borders make a bottleneck of 2 x 2 pixels that hardly differ."""
-    cases = [((2, 1), PAPER), ((5, 3), PAPER), ((17, 23), PAPER), ((1, 2), SMALL), ((9, 21), SMALL)]
+    """With and without normalisation. Repeated borders make a bottleneck of 2 x 2 pixels that hardly differ.
+
+    Of an image of 2 x 1 pixels they differ by roundings alone, and normalised are noise in any layout.
+    """
+    cases = [((3, 2), PAPER), ((5, 3), PAPER), ((17, 23), PAPER), ((1, 2), SMALL), ((9, 21), SMALL)]
     return max(_error(torch.rand(1, 3, *size, generator=_stream()), config, 0.5) for size, config in cases)
 
 
@@ -172,14 +175,15 @@ def test_the_error_stays_within_its_bound(case: Case, setting: Setting, error: E
 
 
 def test_normalised_rounding_noise_is_noticed(fails: Fails, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(InstanceNorm, "forward", nn.InstanceNorm2d.forward)
+    bare = nn.InstanceNorm2d.forward
+    monkeypatch.setattr(InstanceNorm, "forward", lambda self, x: F.leaky_relu(bare(self, x), self.slope))
     assert fails("constant views: nothing for instance normalisation to divide by")
 
 
 def test_the_guard_of_constant_maps_changes_no_bit_of_others() -> None:
     x = torch.randn(2, 5, 7, 9, generator=torch.Generator().manual_seed(0))
     pair = [x.clone().requires_grad_() for _ in range(2)]
-    found = [norm(y) for norm, y in zip((InstanceNorm(5), nn.InstanceNorm2d(5)), pair, strict=True)]
+    found = [norm(y) for norm, y in zip((InstanceNorm(5, 1.0).plain, nn.InstanceNorm2d(5)), pair, strict=True)]
     for y in found:
         (y * torch.linspace(-1, 1, 9)).sum().backward()
     assert torch.equal(*found)
