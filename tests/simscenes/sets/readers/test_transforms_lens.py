@@ -45,6 +45,7 @@ def folder_of(folder: Path, *, first: dict[str, Any] | None = None, **more: Any)
         ({"x_fov": degrees(X)}, FX, FX),
         ({"x_fov": degrees(X), "y_fov": degrees(Y)}, FX, FY),
         ({"camera_angle_y": Y}, FY, FY),
+        ({"fovx": degrees(X), "fovy": degrees(Y)}, FX, FY),
     ],
 )
 def test_focal_lengths_come_from_pixels_else_radians_else_degrees_of_their_own_axis(
@@ -73,7 +74,9 @@ def test_what_a_frame_states_of_its_focal_length_counts_before_all_that_the_file
 
 
 def test_a_set_without_a_focal_length_is_told_every_key_that_would_do(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="none of fl_x, camera_angle_x, x_fov, fl_y, camera_angle_y, y_fov$"):
+    with pytest.raises(
+        ValueError, match="none of fl_x, camera_angle_x, x_fov, fovx, fl_y, camera_angle_y, y_fov, fovy$"
+    ):
         load_set(folder_of(tmp_path, cx=20.0))
 
 
