@@ -263,7 +263,8 @@ def collect(
         below = {size: Path(os.path.relpath(file, above)).as_posix() for size, file in sizes.items()}
         got = ", ".join(f"{w} x {h} ({name})" for (w, h), name in sorted(below.items())[:4])
         raise ValueError(f"load_set: the images of {source} must share one size, got {got}; resize them together with "
-                         "their intrinsics, or remove the odd ones")  # fmt: skip
+                         "their intrinsics, remove the odd ones, or, where their distortion was undone one by one "
+                         "(dense/ of COLMAP), take the pictures and the model from before that")  # fmt: skip
     width, height = next(iter(sizes))
     rig, lenses = rig_of(there.values(), viewmats, cameras, source, lens_of, (width, height))
     return Photographs(tuple(there), paths, rig, lenses)
