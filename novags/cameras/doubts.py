@@ -55,7 +55,7 @@ def camera_doubts(
     if points is not None and (len(points) < LEAST_POINTS or np.median(seen or [0]) < LEAST_SEEN):
         found.append(f"few points hold the cameras together: {len(points)} in all, {np.median(seen or [0]):g} in the "
                      f"median photograph, of at least {LEAST_POINTS} and {LEAST_SEEN}: cameras may be wrong; take "
-                     "photographs with more overlap, sharp and with texture")  # fmt: skip
+                     "photographs with more overlap, sharp, with texture and little noise")  # fmt: skip
     spread = np.linalg.norm(centres[:, None] - centres[None], axis=-1).max() if len(centres) < 1000 else np.inf
     if len(labels) > 1 and spread < ONE_PLACE * np.median(distance):
         found.append("all photographs are taken from one place, as if the camera only turned: they show no depth; walk "
@@ -102,8 +102,9 @@ def _apart(
     reasons: dict[int, list[str]] = {}
     counts = () if seen is None else tuple(seen)
     far, zoom = distance / max(np.median(distance), 1e-300), focals / np.median(focals)
-    # Where cameras look side by side, or walk through a scene, some stand in the middle of it as a matter of course.
-    inside = _alone(1 / np.maximum(far, 1e-300)) & (nearest > GAP * np.median(nearest))
+    # Where cameras look side by side, walk through a scene or come close to it, some are near as a matter of course.
+    alone = (nearest > GAP * np.median(nearest)) & (nearest > distance)
+    inside = _alone(1 / np.maximum(far, 1e-300)) & alone
     for i in np.flatnonzero(_alone(far) | inside).tolist():
         reasons.setdefault(i, []).append(f"{far[i]:.2g} times as far from the scene")
     odd = np.flatnonzero((zoom > ZOOMED) | (zoom < 1 / ZOOMED))

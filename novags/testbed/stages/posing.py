@@ -29,7 +29,7 @@ from simscenes.sets.pictures.png import write_png
 from simscenes.sets.readers.bare import SUFFIXES, Bare, picture_files, survey, without_masks
 from simscenes.sets.writers.camera_files import write_cameras
 
-BETTER = "take them with more overlap, from places that differ, sharp and with texture"
+BETTER = "take them with more overlap, from places that differ, sharp, with texture and little noise"
 
 
 def poses(

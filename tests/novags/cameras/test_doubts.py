@@ -55,6 +55,16 @@ def test_cameras_in_the_middle_of_a_walk_or_of_a_grid_stand_apart_from_nobody() 
         assert note.startswith(f"1 of {len(centres)} cameras stand apart from the others: 7 (")
 
 
+def test_close_ups_of_a_drone_stand_apart_from_nobody() -> None:
+    """As of 75 photographs from the air, some of them from a quarter of the height."""
+    circle, few = np.linspace(0, 2 * np.pi, 400, endpoint=False), np.linspace(0, 1.5, 4)
+    angle, radius = np.append(circle, few), np.append(np.full(400, 3.0), np.full(4, 0.3))
+    viewmats = np.tile(np.eye(4), (404, 1, 1))
+    viewmats[:, :3, :3] = [[[-np.sin(a), np.cos(a), 0], [0, 0, -1], [-np.cos(a), -np.sin(a), 0]] for a in angle]
+    viewmats[:, 2, 3] = radius
+    assert camera_doubts([f"{i}" for i in range(404)], viewmats, np.full(404, 1.1)) == []
+
+
 def test_a_camera_within_what_the_others_surround_stands_apart() -> None:
     viewmats = np.array(orbit_rig(80, 40, 30, 50.0, radius=3.0).viewmats)
     viewmats[4, :3, 3] /= 10
