@@ -21,6 +21,7 @@ COMPARED = 5  # cameras at least, before one can stand apart
 FAR = 4.0  # times the median distance from the scene, or its inverse
 GAP = 2.0  # ratio of two distances that no camera lies between; on a walk through a scene one follows on another
 ZOOMED = 1.6  # times the median focal length, or its inverse
+SAME_LENS, LENS = 1.05, 3  # ratio of focal lengths of one lens; so many photographs with it make it another lens
 FEW_SEEN = 0.1  # of the points that the median camera sees
 LEAST_SEEN = 40  # points that the median camera sees; fewer fit cameras of many kinds
 LEAST_POINTS = 100
@@ -107,7 +108,9 @@ def _apart(
     inside = _alone(1 / np.maximum(far, 1e-300)) & alone
     for i in np.flatnonzero(_alone(far) | inside).tolist():
         reasons.setdefault(i, []).append(f"{far[i]:.2g} times as far from the scene")
-    odd = np.flatnonzero((zoom > ZOOMED) | (zoom < 1 / ZOOMED))
+    rising = np.sort(zoom)
+    alike = np.searchsorted(rising, zoom * SAME_LENS) - np.searchsorted(rising, zoom / SAME_LENS)
+    odd = np.flatnonzero(((zoom > ZOOMED) | (zoom < 1 / ZOOMED)) & (alike < LENS))
     for i in odd.tolist() if len(odd) <= len(labels) / 4 else ():  # else several lenses were used
         reasons.setdefault(i, []).append(f"focal length {zoom[i]:.2g} times as long")
     usual = float(np.median(counts)) if counts else 0.0

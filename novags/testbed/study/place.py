@@ -48,7 +48,7 @@ def run(
         out: The folder.
         console: Where progress goes.
         report: Writes a report on the folder.
-        doubt: What speaks against the experiment by the runs in these folders, "" for nothing; said as soon as it is.
+        doubt: Of the folders of all runs that are done: a doubt about the experiment, "" for none. It is said at once.
         engine: Where the work is done; None: in this process.
         command: The command line, for the record.
         overwrite: Replace finished results of another request.

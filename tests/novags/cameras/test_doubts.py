@@ -30,6 +30,8 @@ def test_good_cameras_raise_no_doubt() -> None:
     assert camera_doubts(LABELS, moved(2.0), FOCALS * np.linspace(0.8, 1.2, COUNT), points=POINTS, seen=SEEN) == []
     lenses = np.where(np.arange(COUNT) % 2, 1.1, 2.4)  # half of the photographs by another lens
     assert camera_doubts(LABELS, VIEWMATS, lenses, points=POINTS, seen=SEEN) == []
+    several = np.append(np.full(37, 1.1), [2.5, 2.52, 2.49])  # a rig with another lens on one of its cameras
+    assert camera_doubts(LABELS * 4, np.tile(VIEWMATS, (4, 1, 1)), several) == []
     assert few_views(8) == []
     telephone, telephoto = np.array([[[700, 0, 320], [0, f, 240], [0, 0, 1.0]] for f in (690, 720)]), np.eye(3)[None]
     assert lens_doubts(telephone, (640, 480)) == []
