@@ -21,9 +21,9 @@ def focal_length(camera: dict[str, Any], keys: Sequence[str], side: float) -> fl
     px, rad, *degrees = keys
     if px in camera:
         return float(camera[px])
-    if rad in camera:
-        return float(side / 2 / np.tan(camera[rad] / 2))
-    return next((float(side / 2 / np.tan(np.radians(camera[key]) / 2)) for key in degrees if key in camera), None)
+    angles = [float(camera[rad])] if rad in camera else [np.radians(camera[key]) for key in degrees if key in camera]
+    with np.errstate(over="ignore", divide="ignore"):  # ranges are checked where the lens is made
+        return float(side / 2 / np.tan(angles[0] / 2)) if angles else None
 
 
 def first_focal(cameras: Sequence[dict[str, Any]]) -> float | None:
