@@ -110,6 +110,7 @@ def run(
         parameters=define or None,
     )  # fmt: skip
     from novags.testbed.report.page import write_report
+    from novags.testbed.report.verdict import limits_so_far
     from novags.testbed.study import place
 
     whole = Path("out") / _default_name(preset, scene if photos is None else str(photos), level, electrons)
@@ -122,8 +123,8 @@ def run(
             if dry_run:
                 place.said(chosen, folder, console, overwrite=overwrite)
                 return
-            page = place.run(chosen, folder, console, report=write_report, engine=where,
-                             command=command_line(folder), overwrite=overwrite)  # fmt: skip
+            page = place.run(chosen, folder, console, report=write_report, doubt=limits_so_far,
+                             engine=where, command=command_line(folder), overwrite=overwrite)  # fmt: skip
         announce(page)
         return
     decided = {
@@ -147,6 +148,7 @@ def _within(
     """Run an experiment in a given time; `whole`: where the same one without a budget lies, if it was run."""
     from novags.testbed.ledger.dry import NOT_DONE, planned
     from novags.testbed.report.page import write_report
+    from novags.testbed.report.verdict import limits_so_far
     from novags.testbed.study import place
     from novags.testbed.study.budget.duration import seconds_of
     from novags.testbed.study.budget.said import after
@@ -168,8 +170,8 @@ def _within(
         with within(request, folder, console, place.run, overwrite=overwrite) as under_way:
             place.photograph(under_way.preset, folder, console, overwrite=overwrite)
             under_way.adjust()
-            page = place.run(under_way.preset, folder, console, report=write_report, command=command_line(folder),
-                             overwrite=overwrite)  # fmt: skip
+            page = place.run(under_way.preset, folder, console, report=write_report, doubt=limits_so_far,
+                             command=command_line(folder), overwrite=overwrite)  # fmt: skip
         for line in after(preset, folder, under_way.state, whole):
             say(line)
         announce(page)

@@ -30,6 +30,8 @@ AnyPath = str | os.PathLike[str]
 # machine.
 TEXT = 256 << 20  # JSON, TOML, XML, CSV; COLMAP's text of a hundred thousand points is 50 MiB
 PICTURE = 4 << 30  # 2**29 pixels of 16-bit RGB, uncompressed
+POINTER = b"version https://git-lfs.github.com/spec/"  # what Git leaves in place of a large file that it did not fetch
+POINTER_SIZE = 1024  # bytes that such a file has at most
 VARIABLE = (
     "NOVAGS_ALLOW_LINKS"  # a list in JSON, since names can hold any other sign: how `allow` reaches child processes
 )
@@ -140,7 +142,8 @@ def opened(path: AnyPath, *, most: int | None = None) -> BinaryIO:
         most: Bytes that it may have; None: the result of `largest`.
 
     Raises:
-        ValueError: If it is not a regular file, is larger, or a link leads out of the given folders.
+        ValueError: If it is not a regular file, is larger, is Git's note of a file that was not fetched, or a link
+            leads out of the given folders.
         OSError: If it is missing or cannot be read.
     """
     _check_kind(path, os.stat(path))  # before it is opened: that alone can block, or wind a tape back
@@ -149,6 +152,9 @@ def opened(path: AnyPath, *, most: int | None = None) -> BinaryIO:
         found = os.fstat(descriptor)
         _check_kind(path, found)
         _check_size(path, found.st_size, largest() if most is None else most)
+        if found.st_size < POINTER_SIZE and os.pread(descriptor, len(POINTER), 0) == POINTER:
+            raise ValueError(f"{path} is not the file itself but what Git LFS puts in its place until it is fetched: "
+                             "run git lfs pull there, or download the file")  # fmt: skip
         if _reached(descriptor) != os.path.abspath(path):
             check_links(path)
         return os.fdopen(descriptor, "rb")

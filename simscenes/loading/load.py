@@ -86,6 +86,9 @@ def build_scene(scene: SceneLike | SceneRef, mi: Any, *, allow_outside: bool = F
         mi: The mitsuba module, from `activate`.
         allow_outside: Let an XML file read files outside its own folder.
 
+    A file is shaded once in the scalar variant (`checks.shading`), which names what wide ones answer with black. A dict
+    is not: it may hold objects of the active variant, which no other variant takes.
+
     Raises:
         ValueError: If the name is unknown, the file reaches outside its folder, Mitsuba refuses the description (its
             reason is in the message) or crashes on it, the scene has no shapes, or one of its numbers is not physical.

@@ -62,7 +62,7 @@ class Case(NamedTuple):
     @property
     def rule(self) -> str:
         """What a reader may do with it: "same", "same or refused", "refused" or "any"."""
-        if self.kind == "link outside, allowed" and self.name.endswith(".xml"):
+        if self.kind == "link outside, allowed" and self.name.endswith((".xml", ".gltf")):
             return "same or refused"  # a scene names files from where it lies itself, and there they do not lie
         return "same or refused" if self.kind in texts.SAME else places.RULE.get(self.kind, "any")
 

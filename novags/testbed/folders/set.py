@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from novags.cameras.doubts import camera_doubts
+from novags.cameras.doubts import camera_doubts, few_views, lens_doubts
 from novags.numbers import SSIM_WINDOW
 from novags.testbed.console.terminal import Console, warnings_as_notes
 from novags.testbed.folders.exchanged import refuse_exchanged
@@ -240,7 +240,9 @@ def source_of(views: MultiviewSet, console: Console, max_size: int | None = None
                      f"{name}); the capture.json of a capture of it names the file of each")  # fmt: skip
     if views.kind == "photographs" and not views.meta:  # our own were looked at when their cameras were found
         focals = views.rig.Ks[:, 0, 0] / max(views.rig.width, views.rig.height)
-        for doubt in camera_doubts(views.names, views.rig.viewmats, focals):
+        taken = views.rig.Ks if views.lenses is None else np.stack([lens.K for lens in views.lenses])
+        doubts = [*few_views(len(views)), *lens_doubts(taken, (views.rig.width, views.rig.height))]
+        for doubt in [*doubts, *camera_doubts(views.names, views.rig.viewmats, focals)]:
             console.warn(f"{path}: {doubt}")
     if missing := left_out(views.unregistered, len(views) + len(views.unregistered)):
         console.warn(missing)

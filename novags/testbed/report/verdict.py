@@ -1,10 +1,13 @@
 """The outcome in a sentence and in numbers: which run comes first, by how much, and which scores disagree."""
 
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from novags.testbed.report.place import Place
+from novags.testbed.console.terminal import Console
+from novags.testbed.report.place import Place, places_in
 from novags.testbed.report.tables import GIVEN, OWN, columns, is_plain, measured, ranked, scores_of
 from novags.testbed.report.words import duration, join, signed
 
@@ -113,6 +116,11 @@ def limits(place: Place) -> str:
         f" The fit limits here, not the noise: {ceiling}, which sees no noise, is {gained} dB from {floor}, so that no "
         "method can show its gain. Take cameras that are right, more views, points or iterations, or less light."
     )
+
+
+def limits_so_far(runs: Sequence[Path]) -> str:
+    """`limits` by the runs of one capture that are done."""
+    return limits(*places_in(runs, Console(quiet=True))).strip()
 
 
 def leader(place: Place) -> str:

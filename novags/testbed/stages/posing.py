@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from novags.cameras.doubts import LARGE_ERROR, camera_doubts, few_views
+from novags.cameras.doubts import LARGE_ERROR, camera_doubts, few_views, lens_doubts
 from novags.cameras.motion.registration import PLACED, Observed, Registered, Shot, register
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders.photographs.raw_files import SUFFIXES as RAW
@@ -29,7 +29,7 @@ from simscenes.sets.pictures.png import write_png
 from simscenes.sets.readers.bare import SUFFIXES, Bare, picture_files, survey, without_masks
 from simscenes.sets.writers.camera_files import write_cameras
 
-BETTER = "take them with more overlap, from places that differ, sharp and with texture"
+BETTER = "take them with more overlap, from places that differ, sharp, with texture and little noise"
 
 
 def poses(
@@ -232,7 +232,8 @@ def _doubts(labels: list[str], bare: Sequence[Bare], found: Registered, size: tu
     own = [labels[i] for i in found.indices]
     focals = np.array([lens.K[0, 0] / max(bare[i].size) for i, lens in zip(found.indices, found.lenses, strict=True)])
     seen = [len(one.points) for one in found.seen]
-    doubts = [*few_views(len(own)), *camera_doubts(own, found.viewmats, focals, points=found.points, seen=seen)]
+    doubts = [*few_views(len(own)), *lens_doubts(np.stack([lens.K for lens in found.lenses]), bare[0].size)]
+    doubts += camera_doubts(own, found.viewmats, focals, points=found.points, seen=seen)
     if found.error > LARGE_ERROR:
         doubts.append(f"points are {found.error:.2g} px from where the cameras see them, of at most {LARGE_ERROR:g}: "
                       "cameras are wrong, or something moved between the photographs")  # fmt: skip

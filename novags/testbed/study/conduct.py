@@ -2,7 +2,7 @@
 
 import os
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -42,6 +42,7 @@ def _is_sealed(folder: Path, key: str | None) -> bool:
 def conduct(
     plan: StudyPlan, out: Path, store: Path, console: Console, engine: Engine, *, retry_failed: bool = False,
     known: Mapping[str, Outcome] | None = None, url: str | None = None,
+    after: Callable[[list[Path]], None] | None = None,
 ) -> list[dict[str, Any]]:  # fmt: skip
     """Do the missing tasks of a study and write its tables; returns their rows.
 
@@ -54,6 +55,7 @@ def conduct(
         retry_failed: Try failed tasks again.
         known: Entries that need not be looked at.
         url: Where the store is, if `store` holds only this machine's part of it.
+        after: Called with the folders of all runs that are done, whenever one is.
 
     Raises:
         OSError: If the disk is full or may not be written to.
@@ -63,7 +65,8 @@ def conduct(
     sealed = there(plan, store)
     table = StudyTable(plan, out, store, url, rows_before(plan, out, store, url, sealed))
     predicted = Costs.of(costs(store), engine.threads)
-    watch = _Watch(plan, table, predicted, engine.places, StudyProgress(console, len(plan.ends)), known=sealed)
+    watch = _Watch(plan, table, predicted, engine.places, StudyProgress(console, len(plan.ends)), known=sealed,
+                   after=after)  # fmt: skip
     watch.failures = {} if retry_failed else read_failures(out, set(plan.tasks) - watch.known)
     if watch.failures or (out / FAILURES).exists():
         write_json(out / FAILURES, watch.failures)
@@ -103,6 +106,7 @@ class _Watch:
     known: set[str]  # entries that are there already, as far as one knows
     states: dict[str, State] = field(default_factory=dict)  # of runs
     failures: dict[str, dict[str, str]] = field(default_factory=dict)
+    after: Callable[[list[Path]], None] | None = None
     over: set[str] = field(default_factory=set)
     under_way: dict[str, tuple[float, At]] = field(default_factory=dict)
     _write_at: float = 0.0
@@ -131,6 +135,9 @@ class _Watch:
         if key in self.plan.ends:
             failure = self.failures.get(outcome.cause or key, {})
             self.states[key] = State(outcome.state, failure.get("reason"), failure.get("stage"), failure.get("log"))
+            if outcome.state == "done" and self.after is not None:
+                done = [each for each, state in self.states.items() if state.name == "done"]
+                self.after([self.plan.tasks[each].folder(self.table.store) for each in done])
             if (start := time.monotonic()) >= self._write_at:
                 self.table.write(self.states)
                 now = time.monotonic()

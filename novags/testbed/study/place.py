@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
+from novags.methods import METHODS
 from novags.testbed import stages
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders import capture as captures
@@ -37,7 +38,8 @@ TAKEN = ("set", "capture", *DESCRIBED, CSV, TABLE, FAILURES, "logs", UNFINISHED)
 
 def run(
     preset: Preset, out: Path, console: Console, *, report: Callable[[Path, Console], Path] | None = None,
-    engine: Engine | None = None, command: str | None = None, overwrite: bool = False,
+    doubt: Callable[[list[Path]], str] | None = None, engine: Engine | None = None, command: str | None = None,
+    overwrite: bool = False,
 ) -> Path:  # fmt: skip
     """Run the rest of the experiment in `out`; returns the path of the report, or `out` without one.
 
@@ -46,6 +48,7 @@ def run(
         out: The folder.
         console: Where progress goes.
         report: Writes a report on the folder.
+        doubt: Of the folders of all runs that are done: a doubt about the experiment, "" for none. It is said at once.
         engine: Where the work is done; None: in this process.
         command: The command line, for the record.
         overwrite: Replace finished results of another request.
@@ -60,7 +63,12 @@ def run(
         plan = _planned(preset, out, console, overwrite)
         here = Here(console)
         shows = Console(quiet=True) if engine is None else console
-        rows = conduct(plan, out, out, shows, engine or here, retry_failed=True)
+
+        def after(runs: list[Path]) -> None:
+            if doubt is not None and (found := doubt(runs)):
+                console.warn(found)
+
+        rows = conduct(plan, out, out, shows, engine or here, retry_failed=True, after=after)
         page = out
         if any(row["state"] == "done" for row in rows):
             write_json(out / EXPERIMENT, {"command": command, "preset": asdict(preset)})
@@ -102,6 +110,10 @@ def _planned(preset: Preset, out: Path, console: Console, overwrite: bool) -> St
     runs = tuple((cell, planner.run(cell.preset)) for cell in cells)
     tasks = {key: replace(task, place=task.group if task.kind == "run" else task.kind, overwrite=overwrite,
                           stale=DESCRIBED) for key, task in planner.tasks.items()}  # fmt: skip
+    # The two ends of the scale come first: they show whether the rest is worth its time.
+    ends = {name: METHODS[name].bound for name in preset.methods if name in METHODS and METHODS[name].bound}
+    if len(set(ends.values())) > 1:
+        tasks = dict(sorted(tasks.items(), key=lambda item: item[1].kind == "run" and item[1].place not in ends))
     return StudyPlan(Study(out, {"method": preset.methods}, cells, 0, {}), tasks, runs)
 
 

@@ -8,6 +8,7 @@ reads sparse and normalised numbers as others (5.2), and has no lights.
 from __future__ import annotations
 
 import base64
+import os
 import struct
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,7 +19,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sensor_model.files.door import as_text, read_bytes, resolved
+from sensor_model.files.door import as_text, is_given, read_bytes, resolved
 from sensor_model.files.records import parse_json
 from simscenes.loading.gltf.allowed import check_content
 
@@ -129,11 +130,16 @@ def read_document(path: Path, *, allow_outside: bool = False) -> GltfDocument:
 
 
 def _json_of(data: bytes, path: Path) -> bytes:
-    """The first chunk of a binary file."""
-    length, kind = struct.unpack("<I4s", data[12:20]) if len(data) >= 20 else (0, b"")
-    if kind != b"JSON" or 20 + length > len(data):
+    """The first chunk of a binary file, whose chunks are all there."""
+    at, end = 12, int.from_bytes(data[8:12], "little")
+    first = struct.unpack("<I4s", data[12:20]) if len(data) >= 20 else (0, b"")
+    while at < end:  # pygltflib relies on it
+        at += 8 + int.from_bytes(data[at : at + 4], "little")
+        if at > len(data):
+            raise ValueError(f"{path} is cut short: get it again")
+    if first[1] != b"JSON":
         raise ValueError(f"{path} is cut short or no binary glTF: get it again")
-    return data[20 : 20 + length]
+    return data[20 : 20 + first[0]]
 
 
 def _read_buffers(
@@ -160,8 +166,11 @@ def _beside(path: Path, uri: str, allow_outside: bool) -> Path:
     """The file that a relative address names."""
     if "://" in uri:
         raise ValueError(f"{path} names {uri!r:.100}: files must lie beside it, nothing is fetched")
-    found = resolved(path.parent / unquote(uri))
-    if not (allow_outside or found.is_relative_to(path.parent)):
+    named = path.parent / unquote(uri)
+    found = resolved(named)
+    # By a link of the folder to where links may lead, as for the files of Mitsuba's scenes.
+    linked = Path(os.path.normpath(named)).is_relative_to(path.parent) and is_given(str(found))
+    if not (allow_outside or linked or found.is_relative_to(path.parent)):
         raise ValueError(f"{path} names {uri!r:.100}, outside its folder: move it there, or add --allow-outside "
                          "(allow_outside=True)")  # fmt: skip
     return found

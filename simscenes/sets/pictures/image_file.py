@@ -118,7 +118,9 @@ def read_image(file: Path, flags: int) -> NDArray[Any]:
     except cv2.error as error:
         raise ValueError(f"{file} cannot be decoded ({' '.join(str(error).split())}); replace or remove it") from error
     if pixels is None:
-        raise ValueError(f"{file} is not a readable image (it cannot be decoded); replace or remove it")
+        again = ("; or save it again with 8 or 16 bits, without tiles, and with LZW, deflate or no compression"
+                 if file.suffix.lower() in (".tif", ".tiff") else "")  # fmt: skip
+        raise ValueError(f"{file} is not a readable image (it cannot be decoded); replace or remove it{again}")
     return np.asarray(pixels)
 
 

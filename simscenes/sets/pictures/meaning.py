@@ -9,6 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Literal
 
+from sensor_model.files.door import PICTURE, opened
 from simscenes.sets.pictures.png_chunks import chunks_of_png, curve_of_png, unfit_png
 from simscenes.sets.pictures.profile import has_other_primaries, kind_of, middle_of
 from simscenes.sets.pictures.tiff import BITS, tiff_tags
@@ -16,6 +17,7 @@ from simscenes.sets.pictures.tiff_meaning import unfit_tiff
 
 SRGB = (0.3127, 0.3290, 0.64, 0.33, 0.30, 0.60, 0.15, 0.06)  # x, y of white, red, green and blue, as cHRM has them
 ALIKE = 0.005  # of these
+BMP_MASKS = (3, 6)  # of its kinds of compression
 Curve = Literal["linear", "srgb"]
 
 
@@ -33,6 +35,8 @@ def unfit(file: Path, image: Any, *, pages: int = 1) -> str:
     chunks = chunks_of_png(file)
     if problem := unfit_png(chunks) or unfit_tiff(image, pages) or _several(image):
         return problem
+    if image.format == "BMP" and (problem := _unfit_bmp(file)):
+        return problem
     if image.mode == "CMYK":
         return "is a picture in CMYK, the inks of a printer, which is not read: save it as RGB"
     kind, who = _stated(image, chunks)
@@ -43,6 +47,18 @@ def unfit(file: Path, image: Any, *, pages: int = 1) -> str:
         return (f"states linear codes ({who}) and has 8 bits, which are taken as sRGB-encoded: save it as sRGB, or "
                 "with linear codes in 16 bits")  # fmt: skip
     return ""
+
+
+def _unfit_bmp(file: Path) -> str:
+    """Decoders take no notice of masks that say where in a pixel its colours lie, and spread 5 bits to 248."""
+    with opened(file, most=PICTURE) as stored:
+        head = stored.read(34)
+    if len(head) < 34 or int.from_bytes(head[14:18], "little") < 40:  # of OS/2, which knows no masks
+        return ""
+    bits, compression = int.from_bytes(head[28:30], "little"), int.from_bytes(head[30:34], "little")
+    if bits != 16 and compression not in BMP_MASKS:
+        return ""
+    return f"is a BMP of {bits} bits a pixel with masks of its colours, which is not read: save it as PNG"
 
 
 def curve_of(file: Path, image: Any) -> Curve | None:

@@ -23,7 +23,7 @@ PINHOLES = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
 # Of the camera, the pictures and the split: `photographs` reads them.
 UNDERSTOOD = frozenset(
     "frames file_path transform_matrix camera_model is_fisheye distortion_params fl_x fl_y camera_angle_x "
-    "camera_angle_y x_fov y_fov w h cx cy k1 k2 k3 k4 p1 p2 train_filenames val_filenames test_filenames "
+    "camera_angle_y x_fov y_fov fovx fovy w h cx cy k1 k2 k3 k4 p1 p2 train_filenames val_filenames test_filenames "
     "ply_file_path mask_path".split()
 )
 # Where others render, how they train, and facts about files: no pixel and no ray depends on them.

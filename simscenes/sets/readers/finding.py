@@ -13,6 +13,7 @@ from simscenes.sets.readers.bare import SUFFIXES
 
 # Suffixes that a listed name may lack. Case decides here only where a folder holds several of them.
 ADDED = ("", ".png", ".jpg", ".jpeg", ".JPG", ".JPEG", ".PNG")
+BELOW = ("*", "*/*")  # where pictures are looked for that do not lie where they should
 
 
 def find_file(folder: Path, listed: str) -> Path | None:
@@ -44,7 +45,8 @@ def find_files(folder: Path, listed: Sequence[str]) -> list[Path | None]:
 
 
 def spelt(folder: Path, listed: Sequence[str], files: Sequence[Path | None]) -> list[str]:
-    """What a message calls listed images: their names, and for a missing one the file found under another suffix.
+    """What a message calls listed images: their names, and for a missing one the file found under another suffix or in
+    another folder: lists name folders of the computer that they were written on.
 
     Args:
         folder: What the names are relative to.
@@ -52,8 +54,15 @@ def spelt(folder: Path, listed: Sequence[str], files: Sequence[Path | None]) -> 
         files: As `find_files` found them.
     """
     folders, names = _Folders(), []
+    missing = any(file is None for file in files)
+    every = [folder, *(inner for depth in BELOW for inner in sorted(folder.glob(depth)))] if missing else []
+    below = [inner for inner in every if inner.is_dir() and not inner.is_symlink()]
     for name, file in zip(listed, files, strict=True):
-        near = _another_suffix(folder, name, folders) if file is None else None
+        near = None
+        if file is None:
+            place = Path(name.replace("\\", "/"))
+            near = _another_suffix(folder / place, folders)
+            near = near or next((f for inner in below if (f := _another_suffix(inner / place.name, folders))), None)
         names.append(name if near is None else f"{name} ({Path(os.path.relpath(near, folder)).as_posix()} is there)")
     return names
 
@@ -93,9 +102,8 @@ def _ignoring_case(folder: Path, listed: str, folders: _Folders) -> list[Path]:
     return [file for place in places for name in names for file in folders[place].get(name, []) if file.is_file()]
 
 
-def _another_suffix(folder: Path, listed: str, folders: _Folders) -> Path | None:
+def _another_suffix(path: Path, folders: _Folders) -> Path | None:
     """A picture of the same folder and stem."""
-    path = folder / listed.replace("\\", "/")
     names = (_lower(stem + suffix) for stem in (path.stem, path.name) for suffix in SUFFIXES)
     return next((file for name in names for file in folders[path.parent].get(name, [])), None)
 

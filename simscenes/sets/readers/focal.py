@@ -8,20 +8,22 @@ from typing import Any
 
 import numpy as np
 
-# Entries that state a focal length along x and along y, in the order in which they count: px, rad, degrees.
-FOCAL_X, FOCAL_Y = ("fl_x", "camera_angle_x", "x_fov"), ("fl_y", "camera_angle_y", "y_fov")
+# Entries that state a focal length along x and along y, in the order in which they count: px, rad, degrees. The last
+# is what instant-ngp's own script writes of several cameras, and its reader leaves alone.
+FOCAL_X = ("fl_x", "camera_angle_x", "x_fov", "fovx")
+FOCAL_Y = ("fl_y", "camera_angle_y", "y_fov", "fovy")
 FOCAL = (*FOCAL_X, *FOCAL_Y)
 MOST_APART = 1.1  # ratio of two statements of one focal length; a changed margin makes less, another lens more
 
 
 def focal_length(camera: dict[str, Any], keys: Sequence[str], side: float) -> float | None:
     """Focal length along one axis, px: stated itself, or as the angle (rad, then degrees) that `side` px span."""
-    px, rad, degrees = keys
+    px, rad, *degrees = keys
     if px in camera:
         return float(camera[px])
-    if rad in camera:
-        return float(side / 2 / np.tan(camera[rad] / 2))
-    return float(side / 2 / np.tan(np.radians(camera[degrees]) / 2)) if degrees in camera else None
+    angles = [float(camera[rad])] if rad in camera else [np.radians(camera[key]) for key in degrees if key in camera]
+    with np.errstate(over="ignore", divide="ignore"):  # ranges are checked where the lens is made
+        return float(side / 2 / np.tan(angles[0] / 2)) if angles else None
 
 
 def first_focal(cameras: Sequence[dict[str, Any]]) -> float | None:

@@ -42,7 +42,7 @@ TRANSFORMS = {**LENS, **SPLIT, "ply_file_path?": str, "frames": [
 # Beyond these no lens makes sense, and float32, in which pictures are rendered, would overflow. Pixels, rad, OpenCV's.
 RANGES = dict.fromkeys(("w", "h", "fl_x", "fl_y"), (0.0, 1e7)) | dict.fromkeys(("cx", "cy"), (-1e7, 1e7))
 RANGES |= dict.fromkeys(("camera_angle_x", "camera_angle_y"), (0.0, np.pi)) | dict.fromkeys(
-    ("x_fov", "y_fov"), (0.0, 180.0)
+    ("x_fov", "y_fov", "fovx", "fovy"), (0.0, 180.0)
 )
 RANGES |= dict.fromkeys(("k1", "k2", "k3", "p1", "p2"), (-100.0, 100.0))
 Poses = list[NDArray[np.float64]]
@@ -190,8 +190,9 @@ def check_pose(pose: NDArray[np.float64], where: str) -> None:
     if not np.isfinite(pose).all() or np.abs(pose[:3, 3]).max() > MAX_COORDINATE:
         raise ValueError(f"{where} must be finite, with coordinates up to {MAX_COORDINATE:g}")
     if not (error := rotation_error(pose[:3, :3])) <= MAX_ROTATION_ERROR:
-        raise ValueError(f"{where} must be a rotation and a translation (no scale, no mirror); R R^T differs from the "
-                         f"identity by {error:.3g}")  # fmt: skip
+        got = ("it mirrors, as if one axis or three had been turned round" if np.isinf(error) else
+               f"R R^T differs from the identity by {error:.3g}")  # fmt: skip
+        raise ValueError(f"{where} must be a rotation and a translation (no scale, no mirror); {got}")
 
 
 def listed(files: Sequence[Path | None], source: Path, names: Sequence[str] = ()) -> dict[str, int]:
@@ -211,7 +212,8 @@ def listed(files: Sequence[Path | None], source: Path, names: Sequence[str] = ()
     missing = some(sorted(name for name, file in zip(names, files, strict=bool(names)) if file is None))
     if not there:
         raise ValueError(f"load_set: none of the {len(files)} images listed in {source} exists"
-                         f"{missing and f': {missing}'}; put them where it says, under these names")  # fmt: skip
+                         f"{missing and f': {missing}'}; put them where it says, under these names, or correct the "
+                         "names in it")  # fmt: skip
     if len(there) < len(files):
         warnings.warn(f"load_set: {len(files) - len(there)} of {len(files)} views listed in {source} have no image "
                       f"file and are skipped{missing and f': {missing}'}", stacklevel=5)  # fmt: skip
@@ -261,7 +263,8 @@ def collect(
         below = {size: Path(os.path.relpath(file, above)).as_posix() for size, file in sizes.items()}
         got = ", ".join(f"{w} x {h} ({name})" for (w, h), name in sorted(below.items())[:4])
         raise ValueError(f"load_set: the images of {source} must share one size, got {got}; resize them together with "
-                         "their intrinsics, or remove the odd ones")  # fmt: skip
+                         "their intrinsics, remove the odd ones, or, where their distortion was undone one by one "
+                         "(dense/ of COLMAP), take the pictures and the model from before that")  # fmt: skip
     width, height = next(iter(sizes))
     rig, lenses = rig_of(there.values(), viewmats, cameras, source, lens_of, (width, height))
     return Photographs(tuple(there), paths, rig, lenses)

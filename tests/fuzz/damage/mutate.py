@@ -22,7 +22,7 @@ NUMBERS = ("0", "-1", "1", "2", "1e-320", "1e308", "-1e308", "1e999", "nan", "in
            "9" * 400, "4294967296", "2147483648", "-2147483649", "9223372036854775808", "0x10", "1_000", "1.5", "1e5",
            "65536", "", "x", "½", "1 2")  # fmt: skip
 NUMBER = re.compile(rb"[-+]?\d+\.?\d*(?:[eE][-+]?\d+)?")
-TEXT = (".json", ".jsonl", ".toml", ".xml", ".txt", ".obj", ".argv")
+TEXT = (".json", ".jsonl", ".gltf", ".toml", ".xml", ".txt", ".obj", ".argv")
 
 
 def damaged(name: str, content: bytes, rng: Random) -> bytes:

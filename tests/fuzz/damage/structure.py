@@ -255,5 +255,7 @@ def arguments(content: bytes, rng: Random) -> bytes:
     return json.dumps(words).encode()
 
 
-FOR = {".json": json_value, ".jsonl": json_value, ".toml": toml_line, ".xml": xml_element, ".png": png_chunk,
-       ".argv": arguments, ".safetensors": safetensors_head, ".pt": zip_member, ".ply": ply_head}  # fmt: skip
+FOR = {
+    ".json": json_value, ".gltf": json_value, ".jsonl": json_value, ".toml": toml_line, ".xml": xml_element,
+    ".png": png_chunk, ".argv": arguments, ".safetensors": safetensors_head, ".pt": zip_member, ".ply": ply_head,
+}  # fmt: skip

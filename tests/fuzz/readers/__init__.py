@@ -5,6 +5,7 @@ from tests.fuzz.readers import (
     commands,
     curves,
     foreign,
+    gltf,
     images,
     imported,
     models,
@@ -15,5 +16,5 @@ from tests.fuzz.readers import (
     text,
 )
 
-GROUPS = (commands, curves, foreign, text, models, images, imported, photographs, records, scenes, studies)
+GROUPS = (commands, curves, foreign, text, models, images, imported, photographs, records, scenes, gltf, studies)
 READERS: dict[str, Reader] = {reader.name: reader for group in GROUPS for reader in group.READERS}

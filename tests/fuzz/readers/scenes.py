@@ -65,21 +65,24 @@ def make(folder: Path) -> None:
 
 
 def read(folder: Path, file: Path) -> object:
-    """Load, and look at a few pixels by geometry and light."""
+    """Load; a bare plugin has a file of its own, everything else is damaged beside the scene."""
+    return loaded(file if file.suffix == ".xml" else folder / "scene.xml")
+
+
+def loaded(path: Path) -> object:
+    """Load a scene, and look at a few pixels by geometry and light."""
     from simscenes.backend import activate
     from simscenes.loading.load import build_scene
     from simscenes.render.framing import own_rig
 
     mi = activate()
-    # A bare plugin has a file of its own; everything else is damaged beside the scene.
-    path = file if file.suffix == ".xml" else folder / "scene.xml"
     try:
-        loaded = build_scene(path, mi)
+        scene = build_scene(path, mi)
     except ValueError as error:
         if "did not finish" in str(error):
             raise RuntimeError("Mitsuba hangs") from error
         raise
-    return own_rig(loaded, mi, 4, 3)
+    return own_rig(scene, mi, 4, 3)
 
 
 def make_given(folder: Path) -> None:
@@ -148,7 +151,8 @@ def bare() -> list[tuple[str, bytes]]:
     return [(f"bare-{name}-{i}.xml", s.encode()) for name in plugins() for i, (_, s) in enumerate(places(name))]
 
 
-def _mitsuba() -> None:
+def with_mitsuba() -> None:
+    """What readers of scenes import."""
     import mitsuba  # noqa: F401
 
     import simscenes.loading.load
@@ -161,14 +165,14 @@ def _mitsuba() -> None:
 
 FILES = ("scene.xml", "m.ply", "m.obj", "m.serialized", "t.png", "e.exr")
 READERS = [
-    Reader("Mitsuba scene", make, read, FILES, also=bare, share=0.2, prepare=_mitsuba),
+    Reader("Mitsuba scene", make, read, FILES, also=bare, share=0.2, prepare=with_mitsuba),
     Reader(
         "Mitsuba parameters",
         make_given,
         read_given,
         ("given.txt",),
         share=0.1,
-        prepare=_mitsuba,
+        prepare=with_mitsuba,
         placed=False,
         odd=False,
     ),

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from novags.cameras.doubts import camera_doubts, few_views
+from novags.cameras.doubts import camera_doubts, few_views, lens_doubts
 from simscenes import orbit_rig
 from simscenes.sets.pictures.png import write_png
 from simscenes.sets.readers.bare import without_masks
@@ -30,7 +30,64 @@ def test_good_cameras_raise_no_doubt() -> None:
     assert camera_doubts(LABELS, moved(2.0), FOCALS * np.linspace(0.8, 1.2, COUNT), points=POINTS, seen=SEEN) == []
     lenses = np.where(np.arange(COUNT) % 2, 1.1, 2.4)  # half of the photographs by another lens
     assert camera_doubts(LABELS, VIEWMATS, lenses, points=POINTS, seen=SEEN) == []
+    several = np.append(np.full(37, 1.1), [2.5, 2.52, 2.49])  # a rig with another lens on one of its cameras
+    assert camera_doubts(LABELS * 4, np.tile(VIEWMATS, (4, 1, 1)), several) == []
     assert few_views(8) == []
+    telephone, telephoto = np.array([[[700, 0, 320], [0, f, 240], [0, 0, 1.0]] for f in (690, 720)]), np.eye(3)[None]
+    assert lens_doubts(telephone, (640, 480)) == []
+    assert lens_doubts(telephoto * 6000, (640, 480)) == []
+
+
+def looking_ahead(centres: np.ndarray) -> np.ndarray:
+    """Cameras at places [C,3] that all look along z."""
+    viewmats = np.tile(np.eye(4), (len(centres), 1, 1))
+    viewmats[:, :3, 3] = -centres
+    return viewmats
+
+
+def test_cameras_in_the_middle_of_a_walk_or_of_a_grid_stand_apart_from_nobody() -> None:
+    """As of a video of 302 frames whose cameras pass the middle at a tenth of the usual distance."""
+    walk = np.linspace(-3, 3, 61)[:, None] * [0.1, 0, 1]
+    grid = np.stack(np.meshgrid(np.arange(7), np.arange(7), [0]), -1).reshape(-1, 3).astype(float)
+    for centres in (walk, grid):
+        labels, focals = [f"{i}" for i in range(len(centres))], np.full(len(centres), 0.9)
+        assert camera_doubts(labels, looking_ahead(centres), focals) == []
+        centres[7] *= 1e4
+        (note,) = camera_doubts(labels, looking_ahead(centres), focals)
+        assert note.startswith(f"1 of {len(centres)} cameras stand apart from the others: 7 (")
+
+
+def test_close_ups_of_a_drone_stand_apart_from_nobody() -> None:
+    """As of 75 photographs from the air, some of them from a quarter of the height."""
+    circle, few = np.linspace(0, 2 * np.pi, 400, endpoint=False), np.linspace(0, 1.5, 4)
+    angle, radius = np.append(circle, few), np.append(np.full(400, 3.0), np.full(4, 0.3))
+    viewmats = np.tile(np.eye(4), (404, 1, 1))
+    viewmats[:, :3, :3] = [[[-np.sin(a), np.cos(a), 0], [0, 0, -1], [-np.cos(a), -np.sin(a), 0]] for a in angle]
+    viewmats[:, 2, 3] = radius
+    assert camera_doubts([f"{i}" for i in range(404)], viewmats, np.full(404, 1.1)) == []
+
+
+def test_a_camera_within_what_the_others_surround_stands_apart() -> None:
+    viewmats = np.array(orbit_rig(80, 40, 30, 50.0, radius=3.0).viewmats)
+    viewmats[4, :3, 3] /= 10
+    (note,) = camera_doubts([f"{i}" for i in range(80)], viewmats, np.full(80, 1.1))
+    assert note.startswith("1 of 80 cameras stand apart from the others: 4 (0.1 times as far from the scene)")
+
+
+@pytest.mark.parametrize(
+    ("fx", "fy", "said"),
+    [
+        (566.2, 840.3, "2 of 2 cameras have another focal length along x than along y, the worst 0.674 times it"),
+        (1638.6, 904.5, "2 of 2 cameras have another focal length along x than along y, the worst 1.81 times it"),
+        (166504, 166504, "2 of 2 cameras have a focal length of 163 to 163 times the longer side of the picture"),
+        (60, 60, "2 of 2 cameras have a focal length of 0.0586 to 0.0586 times the longer side"),
+    ],
+)
+def test_lenses_that_no_camera_has_are_said(fx: float, fy: float, said: str) -> None:
+    """Calibrations of too few photographs as people publish them."""
+    K = np.array([[fx, 0, 512], [0, fy, 384], [0, 0, 1.0]])
+    (note,) = lens_doubts(np.stack([K, K]), (1024, 768))
+    assert note.startswith(said)
 
 
 @pytest.mark.parametrize("known", [True, False])

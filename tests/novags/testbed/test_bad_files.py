@@ -157,7 +157,10 @@ POSE = [[1.0, 0, 0, 1], [0, 1, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]]
         ({"transform_matrix": POSE[:2]}, r"frames\[0\].transform_matrix must be 4 x 4 finite numbers"),
         ({"transform_matrix": [*POSE[:3], [1, 2, 3, 1]]}, r"must end in the row 0 0 0 1 \(is it transposed\?\)"),
         ({"transform_matrix": [[2.0, 0, 0, 1], *POSE[1:]]}, r"frames\[0\].*must be a rotation and a translation"),
-        ({"transform_matrix": [[-1.0, 0, 0, 1], *POSE[1:]]}, r"frames\[0\].*no mirror"),
+        (
+            {"transform_matrix": [[-1.0, 0, 0, 1], *POSE[1:]]},
+            r"frames\[0\].*no mirror\); it mirrors, as if one axis or three",
+        ),
         ({"transform_matrix": [[1.0, 0, 0, 1e200], *POSE[1:]]}, "coordinates up to 1e"),
         ({"file_path": "y" * 5000}, "File name too long.*rename it"),
     ],

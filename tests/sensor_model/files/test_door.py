@@ -78,6 +78,16 @@ def test_what_is_not_a_regular_file_is_refused_by_its_kind(
         read(tmp_path / "given")
 
 
+def test_what_git_leaves_in_place_of_a_large_file_is_refused_by_name(tmp_path: Path) -> None:
+    note = f"version https://git-lfs.github.com/spec/v1\noid sha256:{'0a' * 32}\nsize 50331648\n"
+    (tmp_path / "points.ply").write_text(note)
+    (tmp_path / "about.txt").write_text("\n" + note)
+    for read in (opened, admitted, read_bytes, read_text):
+        with pytest.raises(ValueError, match="points.ply is not the file itself but what Git LFS puts .* git lfs pull"):
+            read(tmp_path / "points.ply")
+    assert read_text(tmp_path / "about.txt") == "\n" + note
+
+
 def test_a_file_of_any_size_on_paper_is_refused_before_it_is_read(tmp_path: Path) -> None:
     path = tmp_path / "sparse"
     path.write_bytes(b"[1]")

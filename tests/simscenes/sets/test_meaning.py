@@ -120,6 +120,24 @@ def test_pictures_behind_the_first_one_are_refused_unless_they_are_smaller(tmp_p
         read_rgb(tmp_path / "d.jpg")
 
 
+def write_bmp(path: Path, bits: int, compression: int, masks: tuple[int, ...], pixels: bytes) -> Path:
+    """A BMP of 4 x 2 pixels, rows from below."""
+    body = struct.pack("<IiiHHIIiiII", 40, 4, 2, 1, bits, compression, len(pixels), 0, 0, 0, 0)
+    body += struct.pack(f"<{len(masks)}I", *masks)
+    path.write_bytes(struct.pack("<2sIHHI", b"BM", 14 + len(body) + len(pixels), 0, 0, 14 + len(body)) + body + pixels)
+    return path
+
+
+def test_a_bmp_is_read_unless_masks_say_where_its_colours_lie(tmp_path: Path) -> None:
+    """Decoders pass over the masks: colours change places. They leave white of 5 bits at 248."""
+    plain = write_bmp(tmp_path / "a.bmp", 24, 0, (), bytes([1, 2, 3] * 8))
+    assert (read_rgb(plain) == [3, 2, 1]).all()
+    for bits, compression, masks in ((32, 3, (0xFF000000, 0xFF0000, 0xFF00)), (16, 3, (0xF800, 0x7E0, 0x1F)), (16, 0, ())):
+        file = write_bmp(tmp_path / "b.bmp", bits, compression, masks, bytes(bits))
+        with pytest.raises(ValueError, match=f"is a BMP of {bits} bits a pixel with masks of its colours"):
+            read_rgb(file)
+
+
 GRAY: dict[int, tuple[str, list[float]]] = {
     256: ("I", [16]), 257: ("I", [12]), 258: ("H", [16]), 259: ("H", [1]), 262: ("H", [1]), 277: ("H", [1]),
     278: ("I", [12]),

@@ -254,7 +254,7 @@ def test_transparent_pixels_of_a_photograph_are_before_white_and_that_is_said_wh
     assert cv2.imwrite(str(file), np.concatenate([cv2.imread(str(file)), alpha], -1))
     source = open_source(folder, Console(stream=stream))
     np.testing.assert_array_equal(getattr(source, read)(0), plain[0])
-    assert stream.getvalue() == ""
+    assert "alpha" not in stream.getvalue()
     found = getattr(source, read)(1)
     assert (found[:10] == 1).all()
     np.testing.assert_array_equal(found[10:], plain[1][10:])

@@ -1,5 +1,6 @@
 """Claims about a study of one place: what is refused before any work, what a failure costs, and who may do the work."""
 
+import io
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NoReturn
@@ -15,6 +16,7 @@ from novags.testbed.console.terminal import Console
 from novags.testbed.folders.runs import runs_in
 from novags.testbed.ledger.contents import read_json
 from novags.testbed.report.page import write_report
+from novags.testbed.report.verdict import limits_so_far
 from novags.testbed.study import place, steps
 from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
 from novags.testbed.study.engines.choice import OneMachine
@@ -79,6 +81,23 @@ def test_processes_side_by_side_make_the_files_that_one_makes(tmp_path: Path) ->
     ]
     assert scores[0] == scores[1]
     assert [row["method"] for row in tables[1]] == ["oracle", "naive"]
+
+
+def test_the_ends_of_the_scale_come_first_and_what_they_say_is_said_before_the_rest(tmp_path: Path) -> None:
+    preset = adapted(EXPERIMENTS["demo"], **TINY, methods=("naive-l1", "naive", "oracle"))
+    screen, seen = io.StringIO(), list[list[str]]()
+
+    def doubt(runs: list[Path]) -> str:
+        seen.append([run.name for run in runs])
+        return limits_so_far(runs)
+
+    place.run(preset, tmp_path, Console(stream=screen), doubt=doubt)
+    assert seen == [["naive"], ["naive", "oracle"], ["naive", "oracle", "naive-l1"]]
+    (said,) = [line for line in screen.getvalue().splitlines() if "The fit limits here, not the noise: oracle" in line]
+    assert said.startswith("note: ")
+    assert screen.getvalue().index(said) < screen.getvalue().index("naive-l1")
+    assert said.removeprefix("note: ") == limits_so_far([tmp_path])
+    assert [row["method"] for row in read_json(tmp_path / "results.json")["rows"]] == ["naive-l1", "naive", "oracle"]
 
 
 def test_a_method_that_fails_costs_no_other_and_is_tried_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sensor_model.files.door import allow, given
 from simscenes.backend import activate
+from simscenes.loading.gltf.document import read_document
 from simscenes.loading.load import build_scene
 from tests.simscenes.loading.gltf.writer import SQUARE, UV, GltfWriter, floor
 
@@ -344,7 +346,27 @@ def test_a_texture_without_coordinates_is_refused(tmp_path: Path) -> None:
 
 def test_a_file_that_is_cut_short_is_refused(tmp_path: Path) -> None:
     whole = floor().write(tmp_path / "t.glb").read_bytes()
-    for length in (10, 40, len(whole) - 20):
+    for length in (10, 21, 40, len(whole) - 20, len(whole) - 1):
         (tmp_path / "cut.glb").write_bytes(whole[:length])
         with pytest.raises(ValueError, match="cut"):
             build_scene(tmp_path / "cut.glb", activate())
+
+
+def test_files_behind_a_link_are_read_where_links_may_lead(tmp_path: Path) -> None:
+    """As the files of Mitsuba's own scenes; else a scene from anywhere could show any picture of the user's."""
+    inside, outside = tmp_path / "inside", tmp_path / "outside"
+    for folder in (inside, outside):
+        folder.mkdir()
+    writer = floor()
+    (outside / "b.bin").write_bytes(writer.data)
+    (inside / "b.bin").symlink_to(outside / "b.bin")
+    content = writer.content | {"buffers": [{"uri": "b.bin", "byteLength": len(writer.data)}]}
+    (inside / "s.gltf").write_text(json.dumps(content))
+    with given([str(inside)]), pytest.raises(ValueError, match=r"leads by a link to|outside its folder"):
+        read_document(inside / "s.gltf")
+    with given([str(inside)]):
+        allow([outside])
+        assert read_document(inside / "s.gltf").files == (inside / "s.gltf", outside / "b.bin")
+        (inside / "s.gltf").write_text(json.dumps(content).replace("b.bin", "../outside/b.bin"))
+        with pytest.raises(ValueError, match="outside its folder"):
+            read_document(inside / "s.gltf")

@@ -51,6 +51,22 @@ def test_another_suffix_is_not_taken_and_is_said(tmp_path: Path) -> None:
     ]
 
 
+def test_pictures_in_another_folder_are_not_taken_and_are_said(tmp_path: Path) -> None:
+    """Lists name the folders of the computer that they were written on."""
+    folder = touched(tmp_path / "set", "images/a.png", "raw/day/b.jpg")
+    touched(tmp_path, "outside/c.png")
+    (folder / "link").symlink_to(tmp_path / "outside")
+    listed = ["/elsewhere/set/images/a.png", "..\\frames\\b.jpg", "set/images/a.jpeg", "images/c.png"]
+    files = find_files(folder, listed)
+    assert files == [None] * 4
+    assert spelt(folder, listed, files) == [
+        "/elsewhere/set/images/a.png (images/a.png is there)",
+        "..\\frames\\b.jpg (raw/day/b.jpg is there)",
+        "set/images/a.jpeg (images/a.png is there)",
+        "images/c.png",
+    ]
+
+
 def test_a_few_names_are_shown_on_one_line() -> None:
     assert some(["a", "b", "c"]) == "a, b, c"
     assert some(["a\nb", "c", "d", "e"]) == "'a\\nb', c, d, ..."

@@ -45,6 +45,7 @@ def folder_of(folder: Path, *, first: dict[str, Any] | None = None, **more: Any)
         ({"x_fov": degrees(X)}, FX, FX),
         ({"x_fov": degrees(X), "y_fov": degrees(Y)}, FX, FY),
         ({"camera_angle_y": Y}, FY, FY),
+        ({"fovx": degrees(X), "fovy": degrees(Y)}, FX, FY),
     ],
 )
 def test_focal_lengths_come_from_pixels_else_radians_else_degrees_of_their_own_axis(
@@ -73,7 +74,9 @@ def test_what_a_frame_states_of_its_focal_length_counts_before_all_that_the_file
 
 
 def test_a_set_without_a_focal_length_is_told_every_key_that_would_do(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="none of fl_x, camera_angle_x, x_fov, fl_y, camera_angle_y, y_fov$"):
+    with pytest.raises(
+        ValueError, match="none of fl_x, camera_angle_x, x_fov, fovx, fl_y, camera_angle_y, y_fov, fovy$"
+    ):
         load_set(folder_of(tmp_path, cx=20.0))
 
 
@@ -83,10 +86,11 @@ def test_a_set_without_a_focal_length_is_told_every_key_that_would_do(tmp_path: 
         ({"camera_angle_x": X, "camera_angle_y": 3.2}, "camera_angle_y must lie between 0 and 3.14159, got 3.2"),
         ({"x_fov": 180.0}, "x_fov must lie between 0 and 180, got 180"),
         ({"fl_x": 30.0, "y_fov": radians(1e-6)}, r"angles must give a focal length below 1e\+07 px, got"),
+        ({"fovy": 5e-324, "w": WIDTH, "h": HEIGHT}, r"angles must give a focal length below 1e\+07 px, got inf"),
     ],
 )
 def test_angles_out_of_range_are_refused(stated: dict[str, Any], message: str, tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=message):
+    with warnings.catch_warnings(action="error"), pytest.raises(ValueError, match=message):
         load_set(folder_of(tmp_path, **stated))
 
 
