@@ -132,7 +132,11 @@ def test_a_bmp_is_read_unless_masks_say_where_its_colours_lie(tmp_path: Path) ->
     """Decoders pass over the masks: colours change places. They leave white of 5 bits at 248."""
     plain = write_bmp(tmp_path / "a.bmp", 24, 0, (), bytes([1, 2, 3] * 8))
     assert (read_rgb(plain) == [3, 2, 1]).all()
-    for bits, compression, masks in ((32, 3, (0xFF000000, 0xFF0000, 0xFF00)), (16, 3, (0xF800, 0x7E0, 0x1F)), (16, 0, ())):
+    for bits, compression, masks in (
+        (32, 3, (0xFF000000, 0xFF0000, 0xFF00)),
+        (16, 3, (0xF800, 0x7E0, 0x1F)),
+        (16, 0, ()),
+    ):
         file = write_bmp(tmp_path / "b.bmp", bits, compression, masks, bytes(bits))
         with pytest.raises(ValueError, match=f"is a BMP of {bits} bits a pixel with masks of its colours"):
             read_rgb(file)
