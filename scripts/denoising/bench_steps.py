@@ -123,7 +123,7 @@ def main() -> None:
     parser.add_argument("what", choices=("steps", "precision"))
     parser.add_argument("--size", type=int, default=160, help="px, edge of a view")
     parser.add_argument("--rounds", type=int, default=9, help="of steps")
-    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2], help="of precision")
+    parser.add_argument("--seeds", type=int, nargs="*", default=[0, 1, 2], help="of precision")
     parser.add_argument("--steps", type=int, default=500, help="of precision")
     parser.add_argument("--earlier", type=Path, nargs="*", default=[], help="results of --out of other seeds")
     parser.add_argument("--out", type=Path)
