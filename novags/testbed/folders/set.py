@@ -242,7 +242,11 @@ def source_of(views: MultiviewSet, console: Console, max_size: int | None = None
         focals = views.rig.Ks[:, 0, 0] / max(views.rig.width, views.rig.height)
         taken = views.rig.Ks if views.lenses is None else np.stack([lens.K for lens in views.lenses])
         doubts = [*few_views(len(views)), *lens_doubts(taken, (views.rig.width, views.rig.height))]
-        for doubt in [*doubts, *camera_doubts(views.names, views.rig.viewmats, focals)]:
+        held = views.points() if views.model() is not None else None
+        tracked = held is not None and len(held.view) > 0  # points without tracks were not what the cameras came from
+        points = held.xyz if held is not None and tracked else None
+        seen = np.bincount(held.view, minlength=len(views)).tolist() if held is not None and tracked else None
+        for doubt in [*doubts, *camera_doubts(views.names, views.rig.viewmats, focals, points=points, seen=seen)]:
             console.warn(f"{path}: {doubt}")
     if missing := left_out(views.unregistered, len(views) + len(views.unregistered)):
         console.warn(missing)
