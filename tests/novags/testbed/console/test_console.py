@@ -7,7 +7,7 @@ import pytest
 
 from novags.commands.shared import next_, say
 from novags.failure import errors_in_one_line
-from novags.testbed.console.terminal import Console
+from novags.testbed.console.terminal import Console, losses_text
 from novags.testbed.study.engines.progress import StudyProgress
 
 NAME = "a\x1b]0;title\x07\x1b[2J\u202eb\x9b1m\rc[red]"
@@ -81,3 +81,8 @@ def test_errors_show_control_characters_escaped(
     said = capsys.readouterr().err
     assert not {"\x1b", "\x07", "\x9b", "\r", "\u202e"} & set(said)
     assert r"\x1b]0;title\x07" in said
+
+
+def test_all_losses_of_a_step_are_told_but_for_counters_and_norms() -> None:
+    losses = {"iteration": 3, "l1": 0.5, "norm_means": 1.0, "dssim": 0.25, "n_gaussians": 9, "depth": 2.0}
+    assert losses_text(losses) == "l1 0.5000  dssim 0.2500  depth 2.0000"

@@ -2,11 +2,14 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 
+from novags.testbed.importing import calibration_frames as calibration
 from novags.testbed.importing.calibration_frames import characterise_folder, read_frames
 from sensor_model import PRESETS, Exposure, Sensor, expose, mosaic, read_sensor, write_dng
 
@@ -246,3 +249,34 @@ def test_files_that_hold_no_frames_are_named(save, message: str, tmp_path: Path)
     write_stacks(tmp_path, save)
     with pytest.raises(ValueError, match=message):
         read_frames(tmp_path)
+
+
+@pytest.mark.parametrize("odd", range(3))
+def test_every_frame_of_a_stack_counts_in_its_size_and_its_time(odd: int) -> None:
+    files = [calibration._CalibrationFrame(np.full((2, 10, 12), k, np.uint16), 0.5) for k in range(3)]
+    found = calibration._stack(Path("dark/a"), files, {"photons": 3.0})
+    assert found.frames.shape == (6, 10, 12)
+    assert [found.frames[2 * k].max() for k in range(3)] == [0, 1, 2]
+    assert (found.time, found.photons) == (0.5, 3.0)
+    smaller = [replace(file, dn=file.dn[:, :8]) if k == odd else file for k, file in enumerate(files)]
+    with pytest.raises(ValueError, match="frames of one size"):
+        calibration._stack(Path("dark/a"), smaller, {})
+    longer = [replace(file, time=0.75) if k == odd else file for k, file in enumerate(files)]
+    with pytest.raises(ValueError, match="differ in exposure time: 0.5, 0.75"):
+        calibration._stack(Path("dark/a"), longer, {})
+
+
+def test_colours_are_those_of_all_stacks_below_saturation() -> None:
+    """Red has half of green's response and a black level of its own; the last flat stack is clipped."""
+    response, black, rise = np.array([0.5, 1.0, 0.25]), np.array([102.0, 100.0, 97.0]), 8.0
+    kinds = np.array([[0, 1], [1, 2]])
+
+    def stack(time: float, light: float) -> Any:
+        cell = black[kinds] + rise * time + np.minimum(light * response[kinds], 4000.0)
+        return calibration.Stack(np.tile(cell, (2, 8, 8)), time, None)
+
+    frames: Any = SimpleNamespace(cfa="RGGB", dark=[stack(t, 0.0) for t in (0.0, 1.0, 4.0)],
+                                  flat=[stack(1.0, light) for light in (400.0, 800.0, 9000.0)])  # fmt: skip
+    found = calibration._colours(frames)
+    assert found["rgb_response"] == pytest.approx(response.tolist(), rel=1e-6)
+    assert found["rgb_bias"] == pytest.approx((black - black[1]).tolist(), abs=1e-6)

@@ -1,5 +1,6 @@
 """Claims about equal results of a store under different entries."""
 
+import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -8,7 +9,7 @@ import pytest
 
 from novags.testbed.console.terminal import Console
 from novags.testbed.ledger.code import Code
-from novags.testbed.ledger.made import made_with
+from novags.testbed.ledger.made import MadeWith, made_with
 from novags.testbed.ledger.same import SAME, remember, sharing
 from novags.testbed.ledger.stage import run_stage
 
@@ -83,3 +84,25 @@ def test_a_folder_that_holds_something_is_not_filled(make: Make, tmp_path: Path)
     with pytest.raises(ValueError, match="already holds parts"):
         make("b")
     assert (tmp_path / "made").read_text() == "a"
+
+
+def test_the_result_of_every_stage_of_an_entry_is_remembered(tmp_path: Path) -> None:
+    entry = tmp_path / "run" / "a"
+    entry.mkdir(parents=True)
+    for record in ("run.json", "metrics.json"):
+        (entry / record).write_text(json.dumps({"stage": {"key": f"key of {record}", "files": {}}}))
+    remember(entry, ("run.json", "metrics.json"))
+    notes = {path.name: path.read_text() for path in (tmp_path / SAME).iterdir()}
+    assert notes == {"key of run.json": "run/a", "key of metrics.json": "run/a"}
+
+
+@pytest.mark.parametrize("changed", ["a.py", "b.py", "c.py"])
+def test_every_file_whose_code_or_text_changed_is_named(changed: str) -> None:
+    files = {"a.py": "1", "b.py": "2", "c.py": "3"}
+    made = MadeWith("2020-05-04T03:02:01", files, files)
+    other = Code(files | {changed: "9"}, files | {changed: "9"})
+    assert made.changed_in(Code(files, files)) == made.kept_though(Code(files, files)) == ""
+    assert made.changed_in(other).startswith(f"{changed} has changed since")
+    assert made.kept_though(other).endswith(f"changed in {changed}")
+    assert made.changed_in(Code({name: "1" for name in files if name != changed}, {})) != ""
+    assert "d.py" in made.changed_in(Code(files | {"d.py": "4"}, {}))

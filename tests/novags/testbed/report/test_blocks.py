@@ -201,10 +201,11 @@ def test_every_run_of_every_place_is_a_row_with_all_its_columns(
         values = {name: float(k) for k, name in enumerate(names, 1)}
         methods = {name: {"mean": {"lit": {"psnr": 10 * value}}} for name, value in values.items()}
         metrics = {"methods": methods, "recovered": values, "recovered_lit": {}, "unavailable": {f"x-{title}": "why"}}
-        lit = SimpleNamespace(views=SimpleNamespace(unregistered=[]))
+        lit = SimpleNamespace(views=SimpleNamespace(unregistered=[f"{title}.png"]))
         runs = {name: SimpleNamespace(name=name) for name in names}
+        record = SimpleNamespace(views=10 + len(names))
         return SimpleNamespace(title=title, runs=runs, metrics=metrics, deltas=lambda kind: (values, "base"), lit=lit,
-                               capture=SimpleNamespace(path=tmp_path / title))  # fmt: skip
+                               capture=SimpleNamespace(path=tmp_path / title, record=record))  # fmt: skip
 
     monkeypatch.setattr(module, "flat_scores", lambda scores: {"lit.psnr": scores["mean"]["lit"]["psnr"]})
     monkeypatch.setattr(module, "_by_method", lambda runs: {})
@@ -218,6 +219,7 @@ def test_every_run_of_every_place_is_a_row_with_all_its_columns(
     assert found.made == dict(enumerate("abcde", 1))
     assert list(found.places) == ["s", "t"]
     assert found.unavailable == {"s: x-s": "why", "t: x-t": "why"}
+    assert found.unregistered == {"s": (["s.png"], 12), "t": (["t.png"], 13)}
 
 
 def test_what_differs_from_any_row_to_another_is_varied() -> None:

@@ -146,6 +146,11 @@ def test_a_set_and_a_capture_have_the_keys_of_all_that_they_are_made_with(
     assert planner._key("set", config, {"scene": "x"}) == found[0]
 
 
+def test_the_ends_of_a_plan_are_all_its_runs() -> None:
+    nothing: Any = None
+    assert StudyPlan(nothing, {}, ((nothing, "a"), (nothing, "b"), (nothing, "c"))).ends == {"a", "b", "c"}
+
+
 def test_what_a_task_needs_comes_before_it_at_any_depth_and_every_named_knob_stays() -> None:
     needs = {"a": (), "b": (), "c": ("a", "b"), "d": ("c", "b"), "e": ()}
     tasks: Any = {key: SimpleNamespace(key=key, needs=each) for key, each in needs.items()}

@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -283,3 +284,17 @@ def test_a_measurement_is_another_one_with_another_seed_setting_or_size(tmp_path
 def test_all_runs_of_a_study_are_its_ends(tmp_path: Path) -> None:
     found = plan(tmp_path)
     assert found.ends == {key for key, task in found.tasks.items() if task.kind == "run"}
+
+
+def test_every_finished_entry_counts_in_what_others_will_cost() -> None:
+    """The median of those that are most alike: of five, all but the first take thrice the guess."""
+    guess = default("run", 100.0, 10.0)
+    entries = [{"kind": "run", "group": "naive", "threads": 1, "work": 100.0, "pixels": 10.0,
+                "peak_bytes": guess.memory, "bytes": 1,
+                "seconds": {"fit": factor * guess.seconds / 2, "render": factor * guess.seconds / 2}}
+               for factor in (1.0, 3.0, 3.0, 3.0, 3.0)]  # fmt: skip
+    costs = Costs.of(entries, {"run": 1})
+    task: Any = SimpleNamespace(kind="run", group="naive", work=100.0, pixels=10.0)
+    assert costs.predicted(task).seconds == pytest.approx(3 * guess.seconds)
+    assert costs.known(task)
+    assert not Costs.of([], {}).known(task)

@@ -11,7 +11,7 @@ from novags.testbed.study.cells.grid import read_study
 from novags.testbed.study.costs import Cost
 from novags.testbed.study.engines.choice import OneMachine
 from novags.testbed.study.plan import StudyPlan
-from novags.testbed.study.simulate import at_least, makespan, simulated
+from novags.testbed.study.simulate import at_least, makespan, said_threads, simulated
 
 # a (3 s) -> c (2 s), d (4 s);  b (2 s) -> e (3 s);  f (1 s)
 SECONDS = {"a": 3.0, "b": 2.0, "c": 2.0, "d": 4.0, "e": 3.0, "f": 1.0}
@@ -56,3 +56,9 @@ def test_the_table_counts_node_hours_and_what_memory_holds(plan: StudyPlan, monk
     with pytest.raises(ValueError, match="nodes must be >= 1, got 0"):
         simulated(plan, {}, hours, OneMachine(1, 1), [1, 0])
     assert simulated(plan, {}, hours, OneMachine(1, 1), []) == []
+
+
+def test_the_threads_of_every_kind_of_task_are_said() -> None:
+    assert said_threads({"set": 2, "capture": 2, "run": 2}) == "2 threads"
+    assert said_threads({"set": 1}) == "1 thread"
+    assert said_threads({"set": 2, "capture": 2, "run": 4}) == "2 (set) and 2 (capture) and 4 (run) threads"

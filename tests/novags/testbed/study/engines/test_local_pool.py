@@ -306,7 +306,10 @@ print(sorted((key, outcome.state) for key, outcome in found.items()))
 
 
 def parent(store: Path) -> "subprocess.Popen[str]":
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *filter(None, sys.path)])}
+    environment = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join([str(Path(__file__).parents[1]), *filter(None, sys.path)]),
+    }
     command = [sys.executable, "-c", textwrap.dedent(PARENT), str(store)]
     return subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
 
