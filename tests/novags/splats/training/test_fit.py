@@ -97,15 +97,16 @@ def test_a_checkpoint_of_another_run_is_refused_with_the_difference(tmp_path):
         fit(start, views, lambda i: images[i], config(iterations=3, seed=5), checkpoint=path)
 
 
-@pytest.mark.parametrize("what", ["means", "sh", "viewmats", "Ks", "size"])
+@pytest.mark.parametrize("what", ["means", "sh", "viewmats", "Ks", "width", "height"])
 def test_a_checkpoint_of_another_start_or_other_cameras_is_refused(tmp_path, what):
     start, views, images = problem(50)
     path = tmp_path / "state.safetensors"
     fit(start, views, lambda i: images[i], config(iterations=3), checkpoint=path)
     if what in ("means", "sh"):
         getattr(start, what)[7] += 1e-3
-    elif what == "size":
-        views, images = dataclasses.replace(views, width=SIZE + 1), images.new_zeros(N_VIEWS, SIZE, SIZE + 1, 3)
+    elif what in ("width", "height"):
+        views = dataclasses.replace(views, **{what: SIZE + 1})
+        images = images.new_zeros(N_VIEWS, views.height, views.width, 3)
     else:
         views = dataclasses.replace(views, **{what: getattr(views, what) * 1.001})
     different = "start" if what in ("means", "sh") else "cameras"
