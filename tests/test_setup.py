@@ -20,7 +20,7 @@ def program(path: Path, text: str) -> None:
 @pytest.mark.skipif(shutil.which("bash") is None, reason="scripts/setup is a script for bash")
 def test_compiling_shows_signs_of_life_as_installing_does(tmp_path: Path) -> None:
     """All is there but the kernels; twenty seconds between two lines pass in a moment."""
-    sources = ("novags/splats", "novags/methods/nova", "novags/methods/nova_plus", "novags/warm.py", "sensor_model/fast")
+    sources = "novags/splats novags/methods/nova novags/methods/nova_plus novags/warm.py sensor_model/fast".split()
     for name in ("pyproject.toml", "scripts/setup", "scripts/constraints.txt", *sources):
         source, target = ROOT / name, tmp_path / name
         target.parent.mkdir(parents=True, exist_ok=True)
