@@ -302,3 +302,18 @@ def test_row_noise_is_a_small_part_of_the_read_noise(name):
     """As all of its sources measured it: at most a fifth, in electrons."""
     sensor = PRESETS[name]
     assert 0 < sensor.sigma_row < 0.2 * sensor.sigma_d
+
+
+@pytest.mark.parametrize(
+    ("name", "read", "row"),
+    [
+        ("a7s2-iso6400", 3.4502964 * tukey_sd(-0.07517104), 0.7218788),
+        ("imx385-iso6400", 130.818508**0.5, np.exp(0.93368 * np.log(13.486051) - 2.19692)),
+        ("imx686-iso6400", 12.51, np.exp(0.87611 * np.log(8.74253) - 2.11455)),
+        ("d850-iso1600", np.exp(0.95467 * np.log(6.640625) + 0.18022), np.exp(0.96623 * np.log(6.640625) - 2.69533)),
+    ],
+)
+def test_noise_that_was_published_in_codes_is_that_noise_in_electrons(name, read, row):
+    sensor = PRESETS[name]
+    assert sensor.sigma_d * sensor.gain == pytest.approx(read, rel=1e-3)
+    assert sensor.sigma_row * sensor.gain == pytest.approx(row, rel=1e-3)

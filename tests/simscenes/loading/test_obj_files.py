@@ -1,11 +1,13 @@
 """OBJ files with incomplete corners, which Mitsuba would fill with what memory held before."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from simscenes.backend import activate
+from simscenes.loading import contents
 from simscenes.loading.contents import parameters_in
 from simscenes.loading.load import build_scene
 from simscenes.loading.obj_files import complete
@@ -107,3 +109,14 @@ def test_a_file_of_many_faces_is_looked_through_once() -> None:
     content = CORNERS + VALUES + (b"f " + b"1/1/1 " * 30_000 + b"\n") * 3
     assert complete(content) is content
     assert complete(content + b"f " + b"1/1/1 " * 30_000 + b"1\n").count(b"vn") == 2
+
+
+def test_the_shapes_of_groups_are_found_wherever_the_instance_stands(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Shape:
+        """Stands in for Mitsuba's."""
+
+    ball, instance, grouped = Shape(), Shape(), Shape()
+    mi, scene = SimpleNamespace(Shape=Shape), SimpleNamespace(shapes=lambda: [ball, instance])
+    monkeypatch.setattr(contents, "_repeats", lambda shape: shape is instance)
+    monkeypatch.setattr(contents, "objects_in", lambda scene, mi: [ball, instance, grouped, "a material"])
+    assert contents.surfaces_in(scene, mi) == [ball, grouped]

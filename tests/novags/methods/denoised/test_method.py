@@ -140,9 +140,9 @@ def test_denoised_pictures_are_others_with_any_other_input(
     curve = pictures.noise.curve
     changed = {
         "electrons": {"electrons": pictures.electrons + 1}, "mask": {"mask": 1 - pictures.mask},
-        # Three times the electrons' unit, and the read noise in electrons stays what it is.
-        "unit": {"unit": 3 * pictures.unit,
-                 "noise": Variance(replace(curve, offset=tuple(9 * value for value in curve.offset)))},
+        # Twice the electrons' unit, and the read noise in electrons stays what it is, to the last bit.
+        "unit": {"unit": 2 * pictures.unit,
+                 "noise": Variance(replace(curve, offset=tuple(4 * value for value in curve.offset)))},
         "noise": {"noise": Variance(replace(curve, offset=tuple(2 * value for value in curve.offset)))},
     }.get(what, {})  # fmt: skip
     own = trainer._identity(pictures, CONFIG.denoise, 5)

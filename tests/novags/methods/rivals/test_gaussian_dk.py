@@ -29,7 +29,6 @@ from novags.splats import FitConfig, LearningRates
 from novags.splats.training.losses import ssim
 from tests.novags.methods.rivals.short import SHORT
 
-FIRST = FitConfig(iterations=1)
 CONFIG = GaussianDkConfig(fit=SHORT, init_scale=0.7)
 
 
@@ -184,7 +183,19 @@ def test_the_lit_exposure_is_looked_for_where_the_cameras_were_refined_to(
     torch.testing.assert_close(seen, [given.views.viewmats + shift])
 
 
-def test_the_response_begins_as_the_seed_of_the_problem_says(problem: Callable[..., Problem]) -> None:
-    module, config = importlib.import_module("novags.methods.rivals.gaussian_dk"), GaussianDkConfig(fit=FIRST)
-    values = [module.train(problem(seed=seed), config).scene.response.values for seed in (3, 3, 4)]
-    assert values[0] == values[1] != values[2]
+def test_the_response_begins_as_the_seed_of_the_problem_says(
+    problem: Callable[..., Problem], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    module, seen = importlib.import_module("novags.methods.rivals.gaussian_dk"), list[torch.Tensor]()
+
+    def begun(*_: Any, companion: Any, **__: Any) -> Any:
+        seen.append(torch.cat([parameter.detach().flatten() for parameter in companion.network.parameters()]))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(module, "fit", begun)
+    given = problem()
+    for seed in (3, 3, 4):
+        with pytest.raises(KeyboardInterrupt):
+            module.train(dataclasses.replace(given, seed=seed), GaussianDkConfig(fit=FitConfig(iterations=1)))
+    assert torch.equal(seen[0], seen[1])
+    assert not torch.equal(seen[0], seen[2])
