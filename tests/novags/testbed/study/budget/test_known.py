@@ -150,7 +150,8 @@ def test_all_settings_that_make_sense_for_the_preset_stay_open_and_no_others() -
 
     preset = adapted(EXPERIMENTS["demo"], methods=("naive",), iterations=100, points=1000, spp=4)
     options = {"iterations": settings(0.01, 0.1, 0.5, 1.0), "points": settings(0.05, 1.0),
-               "spp": settings(0.25, 0.5, 1.0), "denoiser_steps": settings(0.5, 1.0), "size": settings(0.5, 1.0)}  # fmt: skip
+               "spp": settings(0.25, 0.5, 1.0), "denoiser_steps": settings(0.5, 1.0),
+               "size": settings(0.5, 1.0)}  # fmt: skip
     found = open_options(preset, options, {"size"})
     assert {name: [option.share for option in own] for name, own in found.items()} == {
         "iterations": [0.1, 0.5, 1.0], "spp": [0.5, 1.0]
