@@ -272,6 +272,8 @@ def tree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., dict[
 
     yield names  # type: ignore[misc]
     reach._module.cache_clear()
+    for name in [name for name in sys.modules if name.partition(".")[0] == "small_tree"]:
+        del sys.modules[name]
 
 
 def test_all_that_any_definition_uses_counts_at_any_depth_and_nothing_else(
