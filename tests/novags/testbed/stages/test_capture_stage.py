@@ -350,6 +350,9 @@ def test_another_seed_takes_other_pictures_and_the_same_seed_the_same(tmp_path: 
         capture = open_capture(tmp_path / f"{k}")
         assert capture.record.simulated is not None
         assert capture.record.simulated.seed == seed
+        told = list(capture.record.simulated.signal_quantiles_e.values())
+        assert told == sorted(told)
+        assert told[0] < told[len(told) // 2] < told[-1]
         codes.append(np.stack([capture.raw(i) for i in range(3)]).tobytes())
     assert codes[0] == codes[1] != codes[2]
 
