@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -233,3 +234,75 @@ def test_no_module_of_ours_is_imported_by_a_computed_name() -> None:
 def test_a_module_that_does_not_exist_is_refused() -> None:
     with pytest.raises(ValueError, match="there is no module novags.methods.nothing"):
         code_of("novags.methods.nothing")
+
+
+FILES = {
+    "__init__": "",
+    "a": "from small_tree.b import one, two\nimport small_tree.c\nfrom small_tree.h import *\nX = one()\n\n"
+         "def main():\n    return two() + small_tree.c.three() + X\n",
+    "b": "def one():\n    return first()\n\ndef two():\n    return second()\n\ndef first(): ...\n\ndef second(): ...\n"
+         "\ndef unused(): ...\n",
+    "c": "P = Q = 3\nR = 4\n\ndef three():\n    from small_tree.d import four, five\n    return four() + five() + Q\n",
+    "d": "def four(): ...\n\ndef five(): ...\n\ndef six(): ...\n",
+    "e": "import small_tree.f\nimport small_tree.g\n\nY = 1\n",
+    "f": "def register(): ...\n\nregister()\n",
+    "g": "for k in range(3):\n    print(k)\n",
+    "h": "def star(): ...\n\ndef stripe(): ...\n",
+}  # fmt: skip
+
+
+@pytest.fixture
+def tree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., dict[str, set[str]]]:
+    """A function of modules of a small package -> the names that count, by module."""
+    from novags.testbed.ledger import reach
+
+    (tmp_path / "small_tree").mkdir()
+    for name, text in FILES.items():
+        (tmp_path / "small_tree" / f"{name}.py").write_text(text)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    reach._module.cache_clear()
+
+    def names(*roots: str) -> dict[str, set[str]]:
+        found = reach.reached(f"small_tree.{root}" for root in roots)
+        held = {module: reach.source_of(module).definitions for module in found}
+        return {
+            module.rpartition(".")[2]: {n for k in counted.definitions for n in held[module][k].names or ["-"]}
+            for module, counted in found.items() if counted.definitions
+        }  # fmt: skip
+
+    yield names  # type: ignore[misc]
+    reach._module.cache_clear()
+    for name in [name for name in sys.modules if name.partition(".")[0] == "small_tree"]:
+        del sys.modules[name]
+
+
+def test_all_that_any_definition_uses_counts_at_any_depth_and_nothing_else(
+    tree: Callable[..., dict[str, set[str]]],
+) -> None:
+    assert tree("a") == {"a": {"X", "main"}, "b": {"one", "two", "first", "second"}, "c": {"P", "Q", "three"},
+                         "d": {"four", "five"}, "h": {"star", "stripe"}}  # fmt: skip
+    assert tree("d", "h") == {"d": {"four", "five", "six"}, "h": {"star", "stripe"}}
+
+
+def test_what_runs_when_any_of_the_imports_is_loaded_counts(tree: Callable[..., dict[str, set[str]]]) -> None:
+    assert tree("e") == {"e": {"Y"}, "f": {"-", "register"}, "g": {"k"}}
+
+
+def test_code_is_of_all_roots_with_all_data_beside_them_and_all_packages_they_are_from(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    from novags.testbed.ledger import code
+    from novags.testbed.ledger.code import Code
+
+    roots = ("simscenes.scenes.printed.pages", "novags.methods.denoised.config", "sensor_model.noise")
+    found = code_of(*roots, None)
+    assert found.roots == tuple(sorted(roots))
+    assert {f"{root.replace('.', '/')}.py" for root in roots} <= set(found.files) == set(found.texts)
+    beside = [path for path in (ROOT / "simscenes/scenes/printed").iterdir() if path.is_file() and path.suffix != ".py"]
+    assert len(beside) > 1
+    assert {path.relative_to(ROOT).as_posix() for path in beside} <= set(found.files)
+    packages = {root: SimpleNamespace(name=f"package-{k}", version=f"{k}.0") for k, root in enumerate(roots)}
+    monkeypatch.setattr(code, "origin_of", packages.get)
+    with_origins = code._code_of.__wrapped__(frozenset(roots))
+    assert isinstance(with_origins, Code)
+    assert with_origins.outside == {f"package-{k}": f"{k}.0" for k in range(3)}

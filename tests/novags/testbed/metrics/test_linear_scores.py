@@ -88,3 +88,11 @@ def test_what_has_no_exposure_is_refused() -> None:
         exposure_gain([(truth[0], truth[0])], white=-1.0)
     with pytest.raises(ValueError, match="of one size"):
         exposure_gain([(truth[0], truth[0][:3])])
+
+
+def test_light_over_a_black_reference_says_nothing_and_white_pixels_decide_then() -> None:
+    image, reference = np.full((4, 4, 3), 0.5), np.zeros((4, 4, 3))
+    reference[:2] = 1.0
+    assert exposure_gain([(image, reference)]) == pytest.approx(1.0)
+    with pytest.raises(ValueError, match="must be > 0 to match exposures"):
+        exposure_gain([(image, np.zeros_like(reference))])

@@ -3,6 +3,8 @@
 from types import SimpleNamespace
 from typing import Any
 
+import pytest
+
 from novags.testbed.report import verdict
 from novags.testbed.report.tables import columns
 
@@ -117,3 +119,28 @@ def test_where_a_method_without_noise_wins_nothing_the_fit_is_said_to_limit() ->
     far.metrics["methods"]["oracle"] |= by_views("oracle", 15.0, 19.0, 23.0)  # 2 +- 4.6 dB
     assert "oracle, which sees no noise, is +2.00 ± 4.62 dB from plain" in verdict.verdict(far)
     assert "limits" not in verdict.verdict(material(plain={"aligned_psnr": 17.0}, ours={"aligned_psnr": 17.1}))
+
+
+@pytest.mark.parametrize("lacking", ["plain", "oracle"])
+def test_where_an_end_has_no_score_nothing_is_said_to_limit(lacking: str) -> None:
+    found = material(plain={"aligned_psnr": 17.0}, ours={"aligned_psnr": 17.1}, oracle={"aligned_psnr": 17.2})
+    assert "limits" in verdict.limits(found)
+    found.one_reference = True
+    values = {name: 17.0 for name in ("plain", "ours", "oracle")} | {lacking: None}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(verdict, "_values", lambda place: values)
+        assert verdict.limits(found) == ""
+
+
+@pytest.mark.parametrize("order", [("enhanced", "other"), ("other", "enhanced")])
+def test_a_reference_leads_only_if_every_run_has_it(order: tuple[str, str]) -> None:
+    found = material(a={"aligned_psnr": 17.0}, b={"aligned_psnr": 18.0})
+    means = {"enhanced": {"enhanced": {"aligned_psnr": 17.0}, "lit": {"tone_aligned_psnr": 1.0}},
+             "other": {"lit": {"tone_aligned_psnr": 1.0}}}  # fmt: skip
+    found.metrics["methods"] = {name: {"mean": means[kind]} for name, kind in zip("ab", order, strict=True)}
+    leading = verdict.leading(found)
+    assert leading is not None
+    assert leading[0] == "lit"
+    del found.metrics["methods"]["b"]["mean"]["lit"]
+    found.metrics["methods"]["a"]["mean"] = {"lit": {"tone_aligned_psnr": 1.0}}
+    assert verdict.leading(found) is None

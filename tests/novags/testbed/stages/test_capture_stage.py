@@ -18,9 +18,10 @@ from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import open_capture
 from novags.testbed.folders.set import Source
 from novags.testbed.stages import planning
+from novags.testbed.stages.capturing import expose_view
 from novags.testbed.stages.configs.capturing import CaptureConfig
 from novags.testbed.stages.planning import PILOT, sensor_plan
-from sensor_model import PRESETS, read_sensor, srgb_to_linear, write_sensor
+from sensor_model import PRESETS, Exposure, read_sensor, srgb_to_linear, write_sensor
 from simscenes import SparsePoints, load_set, orbit_rig
 from simscenes.sets.multiview import write_cameras
 from simscenes.sets.pictures.exr import read_exr, write_exr
@@ -340,3 +341,28 @@ def test_the_range_of_the_signal_is_told_from_the_darkest_to_the_brightest(monke
     monkeypatch.setattr(planning, "meter", lambda *_: light)
     nothing: Any = None
     assert planning._plan(nothing, nothing, None, QUIET) == (None, {"darkest": 1.0, "median": 3.0, "brightest": 9.0})
+
+
+def test_another_seed_takes_other_pictures_and_the_same_seed_the_same(tmp_path: Path) -> None:
+    views, codes = photographs(tmp_path / "set", size=(32, 24)), list[bytes]()
+    for k, seed in enumerate((3, 3, 4)):
+        stages.capture(views, tmp_path / f"{k}", CaptureConfig(electrons=20.0, seed=seed), QUIET)
+        capture = open_capture(tmp_path / f"{k}")
+        assert capture.record.simulated is not None
+        assert capture.record.simulated.seed == seed
+        told = list(capture.record.simulated.signal_quantiles_e.values())
+        assert told == sorted(told)
+        assert told[0] < told[len(told) // 2] < told[-1]
+        codes.append(np.stack([capture.raw(i) for i in range(3)]).tobytes())
+    assert codes[0] == codes[1] != codes[2]
+
+
+def test_an_exposure_has_the_noise_of_its_seed_and_of_its_view() -> None:
+    light, sensor = np.full((24, 32, 3), 0.5), PRESETS["ideal-3chip"]
+
+    def taken(seed: int, view: int) -> bytes:
+        frame = expose_view(light, sensor, Exposure(time=1.0), electrons=9.0, mean_green=0.5, seed=seed, view=view)
+        return bytes(frame.dn.tobytes())
+
+    assert taken(3, 1) == taken(3, 1)
+    assert len({taken(3, 1), taken(0, 1), taken(3, 2)}) == 3

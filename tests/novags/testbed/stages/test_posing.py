@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from novags.testbed.console.terminal import Console
 from novags.testbed.stages import posing
@@ -127,3 +128,23 @@ def test_every_view_is_written_with_its_own_picture_and_doubted_by_its_own_name(
     assert asked["seen"] == [6, 6, 6]
     assert "2 of 5 photographs are turned" in said
     assert "5 of 5 photographs are of another shape" in said
+
+
+def test_cameras_and_points_are_turned_upright_together() -> None:
+    """Every point stays where each camera sees it, and up on average becomes z."""
+    rig = orbit_rig(5, 32, 24, 50.0, radius=3.0)
+    turn = np.eye(4)
+    turn[:3, :3] = Rotation.from_euler("xyz", (0.4, -0.7, 1.1)).as_matrix()
+    points = np.random.default_rng(0).normal(0, 0.2, (6, 3))
+    found = posing.Registered(
+        indices=list(range(5)), viewmats=rig.viewmats @ turn.T, points=points @ turn[:3, :3].T, lenses=[], seen=[],
+        error=0.5,
+    )  # fmt: skip
+    upright = posing.levelled(found)
+    up = -upright.viewmats[:, 1, :3].mean(0)
+    np.testing.assert_allclose(up / np.linalg.norm(up), [0.0, 0.0, 1.0], atol=1e-9)
+    assert np.abs(upright.viewmats - found.viewmats).max() > 0.1
+    for before, after in zip(rig.viewmats, upright.viewmats, strict=True):
+        np.testing.assert_allclose(
+            upright.points @ after[:3, :3].T + after[:3, 3], points @ before[:3, :3].T + before[:3, 3], atol=1e-9
+        )

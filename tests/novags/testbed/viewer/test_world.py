@@ -3,6 +3,8 @@
 import json
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ from novags.methods.tone import ResponseTable
 from novags.splats import Gaussians, read_ply, write_ply
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import open_capture
+from novags.testbed.viewer import world
 from novags.testbed.viewer.session import quaternion, viewmat_of
 from novags.testbed.viewer.shown import Shown, shown_of
 from novags.testbed.viewer.splats import drawn, rendered
@@ -188,3 +191,26 @@ def test_cameras_beyond_what_float64_tells_apart_are_one_line(runs: Runs, tmp_pa
     (shown,) = shown_of([run], QUIET)
     with pytest.raises(ValueError, match=r"cameras.json must hold positions and rotations up to 1e\+12, got 1e\+300"):
         shown.scene("naive")
+
+
+def test_the_cameras_of_a_run_are_compared_with_the_true_ones_of_the_same_views(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A run may hold some of the views, in an order of its own."""
+    true, asked = torch.arange(4.0), list[list[float]]()
+
+    def align(found: Any, known: torch.Tensor) -> Any:
+        asked.append(known.tolist())
+        return SimpleNamespace(similarity="s")
+
+    capture: Any = SimpleNamespace(names=("a", "b", "c", "d"), path=Path("c"))
+    run: Any = SimpleNamespace(path=Path("r"))
+    monkeypatch.setattr(world, "true_cameras", lambda capture: true)
+    monkeypatch.setattr(world, "align", align)
+    monkeypatch.setattr(world, "own_cameras", lambda run: (["d", "b", "c"], "found"))
+    assert world.true_from(run, capture) == "s"
+    assert asked == [[3.0, 1.0, 2.0]]
+    for names in (["x", "a"], ["a", "x"]):
+        monkeypatch.setattr(world, "own_cameras", lambda run, names=names: (names, "found"))
+        with pytest.raises(ValueError, match="names x, which is not a view"):
+            world.true_from(run, capture)

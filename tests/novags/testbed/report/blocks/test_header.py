@@ -13,7 +13,7 @@ def place(kind: str, lost: int, simulated: bool = True) -> Any:
     record = SimpleNamespace(width=64, height=48, views=8, sensor_name="eye", simulated=told)
     views = SimpleNamespace(kind=kind, unregistered=[f"{k}.png" for k in range(lost)])
     return SimpleNamespace(scene="hall", capture=SimpleNamespace(record=record), lit=SimpleNamespace(views=views),
-                           runs={"a": None, "b": None, "c": None}, metrics={"methods": {}})  # fmt: skip
+                           runs=dict.fromkeys("abc"), metrics={"methods": {}}, one_reference=True)  # fmt: skip
 
 
 @pytest.mark.parametrize(

@@ -101,3 +101,16 @@ def test_beside_a_page_lies_what_it_shows_and_nothing_of_earlier_pages(tmp_path:
     (folder / "mine.png").unlink()
     make(1, inside=10_000_000)
     assert not folder.exists()
+
+
+def test_all_data_go_beside_a_page_that_pictures_have_filled(tmp_path: Path) -> None:
+    """Pictures and data fit each by themselves, and not together."""
+    album = Album(tmp_path / "page.html", inside=40_000)
+    for i in range(2):
+        album.add_encoded(bytes([i]) * 9_000, "png")
+        album.add_data(f"probe-{i}", bytes([9 - i]) * 9_000)
+    assert all(script.file is None for script in album._scripts)
+    album.settle()
+    for i, script in enumerate(album._scripts):
+        assert not script.inside
+        assert base64.b64encode(bytes([9 - i]) * 9_000).decode() in (tmp_path / str(script.file)).read_text()

@@ -2,6 +2,7 @@
 
 import math
 import zlib
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from novags.testbed.folders.capture import Capture
 from novags.testbed.report.look.probe import probe_of
+from sensor_model.isp import white_balance
 from simscenes.sets.pictures.exr import read_exr
 
 
@@ -61,3 +63,16 @@ def test_signals_beyond_half_precision_keep_their_scale(captures: dict[str, Capt
     assert capture.sensor is not None
     assert mean[0, 1, 1] == pytest.approx((5e6 - 512) / capture.sensor.gain, rel=1e-3)
     assert mean[0, 0, 0] == pytest.approx((2e5 - 512) / capture.sensor.gain, rel=1e-3)
+
+
+def test_light_without_a_colour_matrix_is_a_multiple_of_the_codes_above_black(captures: dict[str, Capture]) -> None:
+    capture = captures["chips"]
+    plain = replace(capture, record=replace(capture.record, color_matrix=None), memo=type(capture.memo)())
+    probe = probe_of(plain, 1)
+    assert probe is not None
+    assert plain.sensor is not None
+    _, black, white = plain.levels
+    assert (probe.header["black"], probe.header["white"]) == (black, white)
+    assert probe.header["per_dn"] == pytest.approx(white_balance(plain.sensor) / (white - black))
+    assert min(probe.header["per_dn"]) > 0
+    assert "linear" not in planes(probe.header, probe.data)

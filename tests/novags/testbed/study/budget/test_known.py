@@ -10,8 +10,9 @@ from novags.methods import METHODS
 from novags.testbed.console.provenance import hardware
 from novags.testbed.ledger.contents import jsonable
 from novags.testbed.study.budget import known as module
-from novags.testbed.study.budget.known import SHIPPED, known, options_of
-from novags.testbed.study.cells.presets import EXPERIMENTS
+from novags.testbed.study.budget.choice import Option
+from novags.testbed.study.budget.known import SHIPPED, known, open_options, options_of
+from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
 from novags.testbed.study.curves.curve import read_curves
 
 HERE = jsonable(hardware())
@@ -141,3 +142,17 @@ def test_novags_ships_curves_of_every_option() -> None:
     assert set(least.factors) == parts - {"denoiser"}
     assert max(least.factors.values()) < 0.25
     assert module.USUAL == Path("out") / "pareto"
+
+
+def test_all_settings_that_make_sense_for_the_preset_stay_open_and_no_others() -> None:
+    def settings(*shares: float) -> list[Option]:
+        return [Option("x", share, {}, 0.0, 0.0) for share in shares]
+
+    preset = adapted(EXPERIMENTS["demo"], methods=("naive",), iterations=100, points=1000, spp=4)
+    options = {"iterations": settings(0.01, 0.1, 0.5, 1.0), "points": settings(0.05, 1.0),
+               "spp": settings(0.25, 0.5, 1.0), "denoiser_steps": settings(0.5, 1.0),
+               "size": settings(0.5, 1.0)}  # fmt: skip
+    found = open_options(preset, options, {"size"})
+    assert {name: [option.share for option in own] for name, own in found.items()} == {
+        "iterations": [0.1, 0.5, 1.0], "spp": [0.5, 1.0]
+    }  # fmt: skip

@@ -305,3 +305,21 @@ def test_the_curves_of_all_methods_are_looked_up(monkeypatch: pytest.MonkeyPatch
     Request(adapted(EXPERIMENTS["demo"], methods=("naive", "oracle", "nova-fast")), 100.0).known()
     assert {"naive", "oracle"} < asked[0]
     assert len(asked[0]) == 3
+
+
+@pytest.mark.parametrize("elsewhere", [None, 0, 1, 2])
+def test_a_budget_is_hopeless_only_by_curves_that_were_all_made_here(
+    elsewhere: int | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    here = {"processor": "this", "cores": 2}
+    points: Any = tuple({"hardware": here | ({"processor": "that"} if k == elsewhere else {})} for k in range(3))
+    monkeypatch.setattr(module, "hardware", lambda: here)
+    monkeypatch.setattr(module, "expected", lambda preset, points: {"naive": {"fit": 1e6}})
+    monkeypatch.setattr(module, "at_worst", lambda preset, points: ({}, {"fit": 1e6}))
+    facts = Known({}, "here", points)
+    request = Request(PRESET, 10.0)
+    if elsewhere is None:
+        with pytest.raises(ValueError, match="a budget of 10 s is too small here"):
+            module._refuse_hopeless(request, facts, OPTIONS)
+    else:
+        module._refuse_hopeless(request, facts, OPTIONS)

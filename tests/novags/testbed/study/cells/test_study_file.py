@@ -209,6 +209,7 @@ WRONG: dict[str, tuple[str, str]] = {
     "twice": ("[grid]\nelectrons = [5, 5.0]", "[grid] electrons: 5 is listed twice"),
     "scene twice": ("[grid]\nscene = ['cornell', 'cornell:0']", "[grid] scene: 'cornell' is listed twice, also as"),
     "variation twice": ("[grid]\nscene = ['hall:1', 'hall:01']", "'hall:1' is listed twice, also as 'hall:01'"),
+    "second": ("[grid]\nelectrons = [5, [6]]", "[grid] electrons: each value must be text, a number, or true or false"),
     "nested": ("[grid]\nelectrons = [[5, 6]]", "[grid] electrons: each value must be text, a number, or true or false"),
     "setting of a stage": ("[grid]\n'capture.jpeg_qualty' = 9", "CaptureConfig has no setting 'jpeg_qualty'; did"),
     "type in a stage": ("[override]\nrender.width = 'x'", "[override] render.width: render width must be a whole"),
