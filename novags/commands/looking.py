@@ -19,7 +19,6 @@ def view(runs: Folders, *, host: str = "127.0.0.1", port: int = 8080, sensor: st
         port: Port to listen at; the next free one where it is taken.
         sensor: Camera that views are exposed again with, a name or a TOML file; if not given, the capture's.
     """
-    shared.there(*runs)
     from novags.numbers import check_range
     from novags.testbed.viewer.server import check_installed, serving
     from novags.testbed.viewer.shown import shown_of

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Literal
 
-from novags.commands.shared import next_, say, there, typed, writing
+from novags.commands.shared import next_, say, typed, writing
 from novags.options import Device, Folder
 
 
@@ -40,7 +40,6 @@ def import_(
         wait: If another process is writing there, wait until it is done instead of refusing.
         dry_run: Only say whether it would be made, or made again and why. Nothing is written.
     """
-    there(folder)
     from novags.testbed import stages
     from novags.testbed.stages.configs.importing import ImportConfig
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from novags.commands import shared
-from novags.commands.shared import announce, next_, say, there, typed, writing
+from novags.commands.shared import announce, next_, say, typed, writing
 from novags.options import Folder, Folders
 
 _Reference = Literal["lit", "linear", "clean", "linear_demosaiced", "clean_demosaiced"]
@@ -49,7 +49,6 @@ def score(
         raise ValueError(f"--out {out} belongs to --renders: scores of runs go into their folders")
     if reference is not None:
         raise ValueError(f"--reference {reference} belongs to --renders: runs are scored against all that there are")
-    there(*runs)
     from novags.testbed.report.place import places_in
     from novags.testbed.report.verdict import limits
     from novags.testbed.study.place import score_all, together
@@ -150,7 +149,6 @@ def report(
         dry_run: Only say which files would be made, or made again; whether pictures need a folder beside the page is
             seen when it is made. Nothing is written.
     """
-    there(*runs)
     from novags.testbed.report.page import report_path, write_reports, write_study
     from novags.testbed.report.study import is_study
 

@@ -29,17 +29,6 @@ def cameras_of(text: str | None) -> Any:
     return None if text is None else parse_cameras(text)
 
 
-def there(*folders: Path) -> None:
-    """Refuse folders that do not exist: a typing error is answered before torch is imported.
-
-    Raises:
-        ValueError: Naming the first.
-    """
-    for folder in folders:
-        if not folder.exists():
-            raise ValueError(f"no such folder: {folder}")
-
-
 def typed(path: Path) -> str:
     """A path as typed into a shell, so that a dash at its beginning starts no option."""
     return shlex.quote(f"./{path}" if str(path).startswith("-") else str(path))

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Literal
 
 from novags.commands import shared
-from novags.commands.shared import cameras_of, next_, say, there, typed, variants_of, writing
+from novags.commands.shared import cameras_of, next_, say, typed, variants_of, writing
 from novags.options import LIGHT, Device, Folder, Light, Name, PresetName
 
 
@@ -167,7 +167,6 @@ def capture(
         electrons=named.electrons if electrons is None else electrons, time=time, max_size=max_size, demosaic=demosaic,
         jpeg_quality=jpeg_quality, tolerance=tolerance, export=export, seed=seed,
     )  # fmt: skip
-    there(set)
     with writing(out, wait, dry_run=dry_run) as console:
         with dry(dry_run):
             stages.capture(set, out, config, console, overwrite=overwrite)
@@ -222,7 +221,6 @@ def reconstruct(
         points=points, iterations=iterations, denoiser_steps=denoiser_steps, pictures=pictures, device=device,
     )  # fmt: skip
     config = replace(chosen.reconstruct(name), seed=seed)
-    there(capture)
     from novags.testbed.stages.viewers import check_viewers, viewer_files, write_viewers
 
     with writing(out, wait, dry_run=dry_run) as console:

@@ -107,7 +107,7 @@ def test_every_command_explains_every_option(call: Call, capsys: pytest.CaptureF
         (["capture", "y", "--out", "x", "--sensor", "kodak"], "unknown sensor 'kodak'"),
         (["capture", "y", "--out", "x", "--electrons", "-1"], "electrons must be > 0"),
         (["capture", ".", "--out", "inside/it"], "must not lie inside its input"),
-        (["reconstruct", "no-such-folder", "--out", "x"], "no such folder"),
+        (["reconstruct", "no-such-folder", "--out", "x"], "no such capture folder"),
         (["reconstruct", "y", "--out", "x", "--method", "magic"], "unknown method 'magic'"),
         (["reconstruct", "..", "--out", "x"], "must not lie inside"),
         (["score", "no-such-folder"], "no such folder"),

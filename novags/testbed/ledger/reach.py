@@ -24,6 +24,8 @@ PACKAGES = ("novags", "simscenes", "sensor_model")
 OUTSIDE = (
     *(f"novags.{name}" for name in ("cli", "commands", "failure", "options", "process", "testing", "warm")),
     *(f"novags.testbed.{name}" for name in ("console", "flight", "ledger", "report", "viewer")),
+    "novags.splats.warm",
+    "novags.fields.warm",
     "sensor_model.fast.machine_code",
     "sensor_model.files.lock",
     "sensor_model.files.outside",
