@@ -263,10 +263,10 @@ def test_an_interrupted_second_configuration_leaves_no_report_that_mixes_both(
     shutil.copytree(experiment, folder)
     other = replace(tiny, settings={**tiny.settings, "fit.iterations": 20})
     with pytest.raises(KeyboardInterrupt):
-        run(other, folder, Interrupting("reconstruct naive", 10), report=write_report, overwrite=True)
+        run(other, folder, Interrupting("reconstruct oracle", 10), report=write_report, overwrite=True)
     assert not {"experiment.json", "report.html"} & {path.name for path in folder.iterdir()}
     (done,) = runs_in([folder]).values()  # of this configuration, though the oracle of the other is there
-    assert (done.name, done.record["config"]["fit"]["iterations"]) == ("nova-fast", 20)
+    assert (done.name, done.record["config"]["fit"]["iterations"]) == ("naive", 20)
     assert "Rendered by oracle" not in write_report(folder, quiet).read_text(encoding="utf-8")
     run(other, folder, quiet, report=write_report, overwrite=True)
     assert "Rendered by oracle" in (folder / "report.html").read_text(encoding="utf-8")
