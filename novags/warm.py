@@ -21,7 +21,7 @@ class KernelPart:
     Attributes:
         title: What they do, for people.
         warm: Runs each of them once.
-        folder: Names the folder where their machine code is kept, "module:NAME"; that is None if nowhere.
+        folder: "module:NAME" of the folder with their machine code, or of None where no folder can hold it.
         seconds: Compiling takes about so long, on one quiet core of 2023.
     """
 
@@ -60,8 +60,11 @@ def compile_ahead(name: str, say: Callable[[str], None]) -> None:
 
 def kernels_of(config: Any) -> str | None:
     """The part that a method with this configuration trains with, on a CPU; None: none."""
-    fit = type(getattr(config, "fit", None)).__name__
-    return {"FitConfig": "gaussians", "FieldFitConfig": "fields"}.get(fit)
+    from novags.fields.training.config import FieldFitConfig
+    from novags.splats.training.config import FitConfig
+
+    fit = getattr(config, "fit", None)
+    return "gaussians" if isinstance(fit, FitConfig) else "fields" if isinstance(fit, FieldFitConfig) else None
 
 
 def expose_frames() -> None:
@@ -80,6 +83,7 @@ def fit_and_average() -> None:
     import numpy as np
     import torch
 
+    from novags.methods.nova.layers.normalise import normalised
     from novags.methods.nova.sh_penalty import penalty_weights
     from novags.methods.nova_plus.average import non_local_means
     from novags.methods.nova_plus.likelihood import FLOOR, compare_tones
@@ -89,6 +93,7 @@ def fit_and_average() -> None:
     warm()
     picture, tones = torch.full((1, 6, 6, 3), 0.5), np.full((4, 3), 0.5, np.float32)
     non_local_means(picture, 0.1)
+    normalised(picture.movedim(-1, 1).requires_grad_(), 0.2).sum().backward()
     penalty_weights(torch.ones(4, 2), torch.ones(4, dtype=torch.bool), picture[0, ..., 0])
     compare_tones(tones, tones, 0.1, 2.0, ToneCurve.STEEPEST, np.ones((10, 3)), FLOOR, 0.5, np.empty_like(tones))
 

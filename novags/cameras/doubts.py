@@ -10,7 +10,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from sensor_model.files.reading import some
 from simscenes.rigs import invert_rigid
@@ -129,6 +128,8 @@ def _alone(ratio: Array) -> NDArray[np.bool_]:
 
 def _nearest(centres: Array) -> Array:
     """Distance of each to its nearest neighbour."""
+    from scipy.spatial import KDTree  # a list imports this module, and computes nothing
+
     return np.asarray(KDTree(centres).query(centres, k=min(2, len(centres)))[0]).reshape(len(centres), -1)[:, -1]
 
 

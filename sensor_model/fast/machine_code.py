@@ -73,7 +73,9 @@ def compiled(function: Callable[..., Any], folder: Path | None, **options: Any) 
 
     dispatcher = njit(**options)(function)
     if folder is not None:
-        dispatcher._cache = _cache_in(folder)(function)
+        # not public in numba: a release that arranges its cache otherwise compiles in every process, and runs
+        with suppress(ImportError, AttributeError, TypeError):
+            dispatcher._cache = _cache_in(folder)(function)
     return dispatcher
 
 

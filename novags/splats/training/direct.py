@@ -6,7 +6,6 @@ kernel. Anything out of the ordinary (numbers that are not finite, or very large
 `iteration`, which finds the fault and reports it.
 """
 
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -100,8 +99,7 @@ class DirectFit:
         shape, mean_scale, mean_opacity = self._activate(gaussians)
         opacity_reg = np.float32(config.opacity_reg_at(iteration))
         regularizer = opacity_reg * mean_opacity + self.scale_reg * mean_scale
-        cameras = self.cameras if state.cameras is None else _moved(self.cameras, views)
-        rendering = Rendering(gaussians=gaussians, shape=shape, cameras=cameras, degree=degree)
+        rendering = Rendering(gaussians=gaussians, shape=shape, cameras=self.cameras, views=views, degree=degree)
         try:
             frame, image, alpha = rendering(view, with_depth)
             observed = partial(observe, rendering, frame, iteration=iteration, view=view, config=config)
@@ -186,10 +184,6 @@ class DirectFit:
             means=_array(gaussians.means), quats=_array(gaussians.quats), scales=scales, opacities=opacities
         )
         return shape, np.float32(sums[0].sum() / (3 * n)), np.float32(sums[1].sum() / n)
-
-
-def _moved(cameras: list[pipeline.RasterCamera], views: Views) -> list[pipeline.RasterCamera]:
-    return [replace(camera, viewmat=_array(viewmat)) for camera, viewmat in zip(cameras, views.viewmats, strict=True)]
 
 
 def _array(tensor: Tensor) -> np.ndarray:

@@ -58,11 +58,20 @@ class LossTerms:
 
 @dataclass(frozen=True, kw_only=True)
 class Rendering:
-    """The Gaussians of one iteration, for any of its views."""
+    """The Gaussians of one iteration, for any of its views.
+
+    Attributes:
+        gaussians: As they are trained.
+        shape: The same, activated.
+        cameras: Of all views, where they were given.
+        views: Where the cameras are now.
+        degree: Of the harmonics.
+    """
 
     gaussians: Gaussians
     shape: pipeline.Shape
     cameras: Sequence[pipeline.RasterCamera]
+    views: Views
     degree: int
 
     def __call__(self, view: int, with_depth: bool) -> tuple[pipeline.RasterFrame, np.ndarray, np.ndarray]:
@@ -71,8 +80,9 @@ class Rendering:
         Raises:
             OutOfRange: If the Gaussians are.
         """
+        camera = replace(self.cameras[view], viewmat=self.views.viewmats[view].detach().contiguous().numpy())
         sh = self.gaussians.sh.detach().numpy()
-        frame, image, alpha = pipeline.forward(self.shape, sh, self.cameras[view], self.degree, True, with_depth)
+        frame, image, alpha = pipeline.forward(self.shape, sh, camera, self.degree, True, with_depth)
         if frame.splats.suspect:
             raise OutOfRange
         return frame, image, alpha
