@@ -188,7 +188,8 @@ class ConsistencyLoss:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             self.network = ConfidenceNet().to(views.viewmats.device)
-        self.optimizer = torch.optim.Adam(self.network.parameters(), lr=config.learning_rate)
+        self.parameters = dict(self.network.named_parameters())  # a walk through the network costs as much as a layer
+        self.optimizer = torch.optim.Adam(self.parameters.values(), lr=config.learning_rate)
 
     def facts(self) -> dict[str, int]:
         """For the record: of how many views the loss can be evaluated."""
@@ -196,7 +197,7 @@ class ConsistencyLoss:
 
     def trained_along(self) -> list[Tensor]:
         """Parameters of the confidence network."""
-        return list(self.network.parameters())
+        return list(self.parameters.values())
 
     def due(self, iteration: int) -> bool:
         """Whether this iteration evaluates the loss, and so needs depth."""
@@ -231,7 +232,7 @@ class ConsistencyLoss:
         Raises:
             NotFinite: If they are not finite; they then stay there.
         """
-        gradients = {name: p.grad for name, p in self.network.named_parameters() if p.grad is not None}
+        gradients = {name: p.grad for name, p in self.parameters.items() if p.grad is not None}
         if gradients:
             require_finite("confidence gradient of", gradients, "in L_geo", resumable=True)
             self.optimizer.step()

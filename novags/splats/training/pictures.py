@@ -190,7 +190,7 @@ def _add_networks(slopes: Slopes, terms: LossTerms, step: Step, target: Tensor, 
     due = [loss for loss in losses if loss is not None]
     if first and losses[0] is not None:
         slopes.photometric = float(losses[0].detach())
-    learning = [p for loss in terms.networks for p in loss.trained_along() if p.requires_grad]
+    learning = [p for loss in terms.networks for p in loss.trained_along() if p.requires_grad] if due else []
     total = sum(due, torch.zeros(()))
     gradients: Sequence[Tensor | None] = [None] * (len(leaves) + len(learning))
     if total.requires_grad:
