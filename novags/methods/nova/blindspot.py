@@ -82,13 +82,22 @@ def replace_masked(images: Tensor, mask: Tensor, window: int, generator: torch.G
     rows, columns = min(window, height), min(window, width)
     if rows * columns < 2:
         raise ValueError(f"blind spots need a neighbour, got images of {height} x {width} px")
-    view, y, x = mask.nonzero(as_tuple=True)
+    if mask.device.type == "cpu":
+        view, y, x = mask.nonzero(as_tuple=True)
+        pick = torch.randint(rows * columns - 1, y.shape, generator=generator)
+    else:  # it would have to be waited for to know which pixels are blinded: it works on all, with the same draws
+        view, y, x = (torch.arange(size, device=mask.device) for size in mask.shape)
+        view, y = view[:, None, None], y[:, None]
+        draws = torch.randint(rows * columns - 1, (mask.numel(),), generator=generator, device=mask.device)
+        pick = draws[mask.flatten().cumsum(0).sub(1).clamp_min(0)].view_as(mask)
     top, left = (y - window // 2).clamp(0, height - rows), (x - window // 2).clamp(0, width - columns)
-    pick = torch.randint(rows * columns - 1, y.shape, generator=generator, device=images.device)
     # Skipping the pixel's own index leaves the others equally likely.
     pick = pick + (pick >= (y - top) * columns + (x - left))
+    found = images[view, :, top + pick // columns, left + pick % columns]
+    if mask.device.type != "cpu":
+        return torch.where(mask[:, None], found.movedim(-1, 1), images)
     replaced = images.clone()
-    replaced[view, :, y, x] = images[view, :, top + pick // columns, left + pick % columns]
+    replaced[view, :, y, x] = found
     return replaced
 
 
@@ -104,4 +113,5 @@ def n2v_loss(prediction: Tensor, noisy: Tensor, mask: Tensor) -> Tensor:
         Scalar.
     """
     squared = ((prediction - noisy) ** 2).sum(1)
-    return squared[mask].sum() / mask.sum()
+    blinded = squared[mask] if mask.device.type == "cpu" else torch.where(mask, squared, 0.0)
+    return blinded.sum() / mask.sum()

@@ -129,7 +129,8 @@ def fit(
         try:
             if before_step is not None:
                 _prepare(before_step, iteration)
-            losses, aim = None, target
+            losses: tuple[float | Tensor, float | Tensor] | None = None
+            aim = target
             with_depth = needs_depth(iteration) if callable(needs_depth) else needs_depth
             if direct is not None:
                 image = target(view)
@@ -295,7 +296,9 @@ def _move(
     flags: Flags | None,
 ) -> None:  # fmt: skip
     """Everything that moves after the optimiser step: the population of Gaussians, and cameras; on a GPU masked."""
-    state.gaussians = _mcmc_step(state.gaussians.detach(), state.adam, iteration, config, cap, means_rate, extent, flags)
+    state.gaussians = _mcmc_step(
+        state.gaussians.detach(), state.adam, iteration, config, cap, means_rate, extent, flags
+    )
     if state.cameras is not None and config.refine_cameras is not None:
         factor = config.refine_cameras.factor_at(iteration, config.iterations)
         move_cameras(state.cameras, config.refine_cameras, factor, None if flags is None else flags.good)

@@ -1,9 +1,9 @@
 """What is checked on a GPU without waiting for it: flags that stay there, and are read together now and then.
 
-On a CPU a number that is not finite stops the iteration that it occurs in. To ask a GPU for it would let the GPU run
-dry, 15 to 20 times in an iteration. There the answer is a flag in its own memory: each update is multiplied out by it on
-the spot, so that a damaged state never replaces the last good one, and the host hears of it up to `EVERY` iterations
-later, with the name of the first quantity that was wrong, and when.
+On a CPU a number that is not finite stops the iteration that it occurs in. To ask a GPU for each of them would let it
+run dry again and again. There the answer is a flag in its own memory: each update is masked by it on the spot, so that
+a damaged state never replaces the last good one, and the host hears of it up to `EVERY` iterations later, with the name
+of the first quantity that was wrong, and when.
 """
 
 from collections.abc import Callable, Mapping
@@ -77,3 +77,19 @@ class Flags:
             names, where, self.iteration = looks[number]
             name = names[quantity]
             raise NotFinite(f"{name} must be finite, and is not {where}", resumable=not name.startswith(PARAMETER))
+
+
+def tell(flags: Flags | None, step: int, steps: int, loss: float | Tensor, report: Callable[[float], None]) -> None:
+    """Report the loss of a network's step, the last one of all `steps` too.
+
+    At once on a CPU; on a GPU with the next reading, for which it is time now and then.
+
+    Raises:
+        NotFinite: As `Flags.read` says.
+    """
+    if flags is None:
+        report(float(loss))
+        return
+    flags.keep(torch.as_tensor(loss)[None], lambda numbers: report(numbers[0]))
+    if step % EVERY == 0 or step == steps:
+        flags.read()

@@ -1,8 +1,8 @@
 """A GPU without a GPU: tensors that say they are on cuda:0, and are computed on the CPU.
 
-Inside `virtual_gpu()` a tensor that is moved to "cuda", or made there, is a `Virtual`. It refuses what a tensor on a real
-GPU refuses: other tensors from the CPU in the same operation, random numbers of a CPU's generator, `.numpy()`. And it
-counts what makes the host wait for a GPU: every number that Python, or the shape of a result, needs to know.
+Inside `virtual_gpu()` a tensor that is moved to "cuda", or made there, is a `Virtual`. It refuses what a tensor on a
+real GPU refuses: other tensors from the CPU in the same operation, random numbers of a CPU's generator, `.numpy()`. And
+it counts what makes the host wait for a GPU: every number that Python, or the shape of a result, needs to know.
 
 Three things it cannot see: kernels that give other bits than a CPU's, mixed devices inside a backward pass (there torch
 itself makes tensors, on the device that it believes in), and what gsplat does inside (`stand_in.py` takes its place).
@@ -250,11 +250,12 @@ def _grouped(lists: list[Any], with_indices: bool = False) -> dict[Any, Any]:
 @contextmanager
 def virtual_gpu() -> Iterator[Waits]:
     """Everything on "cuda" in here is on the virtual GPU; gives what made the host wait for it."""
-    grouping = "torch.optim.optimizer._group_tensors_by_device_and_dtype"
+    grouping = "_group_tensors_by_device_and_dtype"
     memory: Callable[..., int] = lambda *_: 0  # noqa: E731
     WAITED.clear()
     with (
-        patch.object(torch, "Generator", Generator), patch(grouping, _grouped),
+        patch.object(torch, "Generator", Generator), patch(f"torch.optim.optimizer.{grouping}", _grouped),
+        patch(f"torch.nn.utils.clip_grad.{grouping}", _grouped),
         patch("torch.cuda.max_memory_allocated", memory),
         patch("torch.__future__.get_overwrite_module_params_on_conversion", lambda: True), _Calls(),
     ):  # fmt: skip

@@ -71,7 +71,12 @@ class Adam:
         return tuple(np.float32(x) for x in (BETA1, BETA2, *corrections, EPS))
 
     def _update(
-        self, value: Tensor, gradient: Tensor, first: Tensor, second: Tensor, rate: float | Tensor,
+        self,
+        value: Tensor,
+        gradient: Tensor,
+        first: Tensor,
+        second: Tensor,
+        rate: float | Tensor,
         good: Tensor | None = None,
     ) -> None:
         if value.device.type == "cpu":

@@ -62,9 +62,7 @@ def refined(viewmats: Tensor, twists: Tensor, extent: float) -> Tensor:
 
 
 @torch.no_grad()
-def move_cameras(
-    state: CameraState, config: CameraRefinement, factor: float, good: Tensor | None = None
-) -> None:
+def move_cameras(state: CameraState, config: CameraRefinement, factor: float, good: Tensor | None = None) -> None:
     """One Adam step, in place, of the cameras that had a part in the loss: cameras with a gradient.
 
     Args:
