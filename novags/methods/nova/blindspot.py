@@ -78,27 +78,35 @@ def replace_masked(images: Tensor, mask: Tensor, window: int, generator: torch.G
     Raises:
         ValueError: If the image has a single pixel, hence no neighbour.
     """
+    if images.shape[-2] * images.shape[-1] < 2:
+        raise ValueError(f"blind spots need a neighbour, got images of {images.shape[-2]} x {images.shape[-1]} px")
+    if mask.device.type != "cpu":
+        return replaced_everywhere(images, mask, window, generator)
+    view, y, x = mask.nonzero(as_tuple=True)
+    replaced = images.clone()
+    replaced[view, :, y, x] = _neighbours(images, view, y, x, window, generator)
+    return replaced
+
+
+def replaced_everywhere(images: Tensor, mask: Tensor, window: int, generator: torch.Generator) -> Tensor:
+    """`replace_masked` with draws for all pixels, blinded or not: to know which are, a GPU would have to be waited for.
+
+    Arguments are the same.
+    """
+    view, y, x = torch.meshgrid(*(torch.arange(size, device=mask.device) for size in mask.shape), indexing="ij")
+    found = _neighbours(images, view, y, x, window, generator)
+    return torch.where(mask[:, None], found.movedim(-1, 1), images)
+
+
+def _neighbours(images: Tensor, view: Tensor, y: Tensor, x: Tensor, window: int, generator: torch.Generator) -> Tensor:
+    """The colours [..., D] of one random other pixel in the neighbourhood of each of these."""
     height, width = images.shape[-2:]
     rows, columns = min(window, height), min(window, width)
-    if rows * columns < 2:
-        raise ValueError(f"blind spots need a neighbour, got images of {height} x {width} px")
-    if mask.device.type == "cpu":
-        view, y, x = mask.nonzero(as_tuple=True)
-        pick = torch.randint(rows * columns - 1, y.shape, generator=generator)
-    else:  # it would have to be waited for to know which pixels are blinded: it works on all, with the same draws
-        view, y, x = (torch.arange(size, device=mask.device) for size in mask.shape)
-        view, y = view[:, None, None], y[:, None]
-        draws = torch.randint(rows * columns - 1, (mask.numel(),), generator=generator, device=mask.device)
-        pick = draws[mask.flatten().cumsum(0).sub(1).clamp_min(0)].view_as(mask)
     top, left = (y - window // 2).clamp(0, height - rows), (x - window // 2).clamp(0, width - columns)
+    pick = torch.randint(rows * columns - 1, y.shape, generator=generator, device=images.device)
     # Skipping the pixel's own index leaves the others equally likely.
     pick = pick + (pick >= (y - top) * columns + (x - left))
-    found = images[view, :, top + pick // columns, left + pick % columns]
-    if mask.device.type != "cpu":
-        return torch.where(mask[:, None], found.movedim(-1, 1), images)
-    replaced = images.clone()
-    replaced[view, :, y, x] = found
-    return replaced
+    return images[view, :, top + pick // columns, left + pick % columns]
 
 
 def n2v_loss(prediction: Tensor, noisy: Tensor, mask: Tensor) -> Tensor:
