@@ -25,7 +25,7 @@ class Flags:
 
     Attributes:
         good: 0-d bool tensor on the GPU: updates that are not to happen after a fault are masked by it.
-        iteration: Of what is looked at; after a fault, that of the fault.
+        iteration: The one that looks; once a fault is read, the one that it occurred in.
     """
 
     def __init__(self, device: torch.device) -> None:
@@ -42,7 +42,7 @@ class Flags:
 
     @property
     def bad(self) -> Tensor:
-        """1.0 after a fault, else 0.0: what torch's fused optimisers call `found_inf`, and then leave all as it is."""
+        """1.0 after a fault, else 0.0: the `found_inf` of torch's fused optimisers, which then change nothing."""
         return (~self.good).float()
 
     def look(self, tensors: Mapping[str, Tensor], where: str) -> None:

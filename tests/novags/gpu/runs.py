@@ -85,10 +85,9 @@ class Waiting:
         """
         found: dict[str, float] = {}
         for name, runs in self.laps.items():
-            runs = runs if name == "fit" else runs[:1]
             shares = [(laps[-1] - laps[0]) / (len(laps) - 1) for laps in runs if len(laps) > 1]
             if shares:
-                found[name] = max(shares)
+                found[name] = max(shares) if name == "fit" else shares[0]
         return found
 
 

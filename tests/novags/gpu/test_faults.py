@@ -17,9 +17,11 @@ from novags.splats.training.config import CameraRefinement, FitConfig, McmcConfi
 from novags.splats.training.flags import EVERY, Flags
 from novags.splats.training.guard import NotFinite
 from novags.splats.training.losses import photometric_loss
+from novags.testbed.console.devices import has_gsplat
 from tests.novags.gpu.stand_in import rasterization
 from tests.novags.gpu.virtual import plain, virtual_gpu
 
+WORKS = torch.cuda.is_available() and has_gsplat()
 ITERATIONS, AT = 36, 13
 CONFIG = FitConfig(
     iterations=ITERATIONS, sh_degree=1, sh_every=5, mcmc=McmcConfig(refine_start=1, refine_every=10, growth=1.1),
@@ -34,6 +36,19 @@ def gpu(monkeypatch):
         yield waits
 
 
+@pytest.fixture(params=[
+    "virtual",
+    pytest.param("real", marks=[
+        pytest.mark.gpu,
+        pytest.mark.skipif(not WORKS, reason="needs a CUDA device and gsplat; the virtual one does the same"),
+    ]),
+])  # fmt: skip
+def any_gpu(request):
+    """A GPU that is there, or the virtual one."""
+    if request.param == "virtual":
+        request.getfixturevalue("gpu")
+
+
 class Gain(nn.Module):
     """A companion: one factor of the render."""
 
@@ -45,7 +60,7 @@ class Gain(nn.Module):
 class Fit:
     """A fit on the virtual GPU whose photometric loss is damaged from an iteration on."""
 
-    def __init__(self, problem, monkeypatch, damage, path) -> None:
+    def __init__(self, problem, monkeypatch, damage, path, first=AT) -> None:
         start = Gaussians.from_points(problem.start.points, problem.start.colors, sh_degree=0)
         self.saved: list[Any] = []
         self.before: dict[int, Any] = {}
@@ -63,7 +78,7 @@ class Fit:
 
         def photometric(step: Any, target: torch.Tensor) -> torch.Tensor:
             loss = photometric_loss(gain.factor * step.render, target, 0.2)
-            return damage(loss, step) if step.iteration >= AT else loss
+            return damage(loss, step) if step.iteration >= first else loss
 
         self.run = lambda: loop.fit(
             start.to("cuda"), problem.views.to("cuda"), lambda i: images[i], CONFIG, photometric=photometric,
@@ -101,7 +116,7 @@ def without_slope(loss: torch.Tensor, step: Any) -> torch.Tensor:
 
 @pytest.mark.parametrize(("damage", "name"), [(infinite, "the loss photometric"), (without_slope, "gradient of means")])
 def test_a_fault_is_named_with_its_iteration_and_the_state_before_it_is_saved(
-    problem, monkeypatch, gpu, tmp_path, damage, name
+    problem, monkeypatch, any_gpu, tmp_path, damage, name
 ) -> None:
     fit = Fit(problem(), monkeypatch, damage, tmp_path / "state")
     view = CONFIG.view_at(AT, 5)
@@ -118,7 +133,7 @@ def test_a_fault_is_named_with_its_iteration_and_the_state_before_it_is_saved(
     assert later == ["iteration", "adam"]
 
 
-def test_a_parameter_that_an_update_has_damaged_is_not_saved(problem, monkeypatch, gpu, tmp_path) -> None:
+def test_a_parameter_that_an_update_has_damaged_is_not_saved(problem, monkeypatch, any_gpu, tmp_path) -> None:
     fit = Fit(problem(), monkeypatch, lambda loss, step: loss, tmp_path / "state")
     original = loop._move
 
@@ -134,9 +149,8 @@ def test_a_parameter_that_an_update_has_damaged_is_not_saved(problem, monkeypatc
     assert fit.saved == []
 
 
-def test_a_fault_in_the_last_iteration_is_noticed(problem, monkeypatch, gpu, tmp_path) -> None:
-    monkeypatch.setattr("tests.novags.gpu.test_faults.AT", ITERATIONS - 1)
-    fit = Fit(problem(), monkeypatch, infinite, tmp_path / "state")
+def test_a_fault_in_the_last_iteration_is_noticed(problem, monkeypatch, any_gpu, tmp_path) -> None:
+    fit = Fit(problem(), monkeypatch, infinite, tmp_path / "state", first=ITERATIONS - 1)
     with pytest.raises(NotFinite, match=f"at iteration {ITERATIONS - 1}, "):
         fit.run()
     assert [saved["iteration"] for saved in fit.saved] == [ITERATIONS - 1]

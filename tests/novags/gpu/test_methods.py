@@ -47,6 +47,7 @@ def assert_equal_results(found: Reconstruction, wanted: Reconstruction, shown: A
 def compare(name: str, seen: Problem, monkeypatch: pytest.MonkeyPatch, *, refine: bool = False) -> None:
     method, config = short(name, refine)
     found, waits, shown = on_gpu(method, config, seen, monkeypatch)
+    print(name, *(f"{each} {per_step:.2f}" for each, per_step in waits.items()))  # pytest -rP shows it
     wanted, expected = on_cpu(method, config, seen, monkeypatch)
     assert_equal_results(found, wanted, shown, expected)
     assert "fit" in waits

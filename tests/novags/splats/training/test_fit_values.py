@@ -224,8 +224,7 @@ def test_relocation_comes_before_growth_and_noise_with_streams_of_their_own(monk
 
         def wrapped(gaussians: Gaussians, *rest: Any, **options: Any) -> Any:
             number = len(gaussians) if name == "relocate" else rest[0]
-            stream = next(x for x in rest if isinstance(x, torch.Generator))
-            calls.append((name, number, stream.initial_seed()))
+            calls.append((name, number, next(x for x in rest if isinstance(x, torch.Generator)).initial_seed()))
             limits.extend(x for key, x in options.items() if key == "limit")
             return original(gaussians, *rest, **options)
 
