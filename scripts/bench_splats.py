@@ -4,6 +4,7 @@
     python scripts/bench_splats.py common  --out DIR    the image-fitting workload that other engines publish, the
                                                         readable reference on it, and 100,000 small splats at 400²
     python scripts/bench_splats.py memory  --out DIR    bytes per Gaussian, per (Gaussian, tile) pair and per pixel
+    python scripts/bench_splats.py loss    --out DIR    L1 + SSIM with gradient, and the same by torch and autograd
     python scripts/bench_splats.py fit     --out DIR    7,000 iterations, 256 x 256, 28 views, 50,000 Gaussians, with
                                                         the time of each part; --capture CAP: the oracle's images
 
@@ -19,6 +20,7 @@ import resource
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -189,6 +191,37 @@ def run_common(out: Path, repeat: int) -> None:
     (out / "common.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
 
 
+def measure_loss(size: int, repeat: int) -> dict[str, Any]:
+    """Processor nanoseconds a value of one loss with its gradient, by our kernels and by torch in the same process."""
+    from novags.splats.training.losses import compare, ssim
+
+    image, target = torch.rand(2, size, size, 3, generator=torch.Generator().manual_seed(0))
+    x, y = image.numpy(), target.numpy()
+
+    def by_torch() -> None:
+        leaf = image.clone().requires_grad_()
+        (0.8 * (leaf - target).abs().mean() + 0.2 * (1 - ssim(leaf, target))).backward()
+
+    def nanoseconds(call: Callable[[], object], times: int) -> float:
+        fastest = math.inf
+        for _ in range(times):
+            start = time.process_time_ns()
+            call()
+            fastest = min(fastest, time.process_time_ns() - start)
+        return fastest / image.numel()
+
+    compare(x, y, 0.2)  # compiles
+    return {"ns": nanoseconds(lambda: compare(x, y, 0.2), 20 * repeat), "torch_ns": nanoseconds(by_torch, repeat)}
+
+
+def run_loss(out: Path, repeat: int) -> None:
+    """Three sizes."""
+    rows = [{"size": size, **in_child("loss", size=size, repeat=repeat)} for size in (160, 400, 800)]
+    for row in rows:
+        print(f"{row['size']}²: {row['ns']:.2f} ns a value, torch {row['torch_ns'] / row['ns']:.1f} times as long")
+    (out / "loss.json").write_text(json.dumps(rows, indent=1))
+
+
 def measure_memory() -> dict[str, Any]:
     """All that one forward and backward pass allocates, split by least squares over scenes of different make-up."""
     import numpy as np
@@ -243,7 +276,7 @@ def run_one(out: Path, what: str, **arguments: Any) -> None:
 def main() -> None:
     """Parse and run."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("part", choices=["grid", "common", "memory", "fit", "child"])
+    parser.add_argument("part", choices=["grid", "common", "memory", "loss", "fit", "child"])
     parser.add_argument("arguments", nargs="?", help=argparse.SUPPRESS)
     parser.add_argument("--out", type=Path, default=Path("bench_splats"))
     parser.add_argument("--repeat", type=int, default=15)
@@ -271,6 +304,8 @@ def main() -> None:
         run_grid(options.out, options.repeat, options.largest)
     elif options.part == "common":
         run_common(options.out, options.repeat)
+    elif options.part == "loss":
+        run_loss(options.out, options.repeat)
     elif options.part == "memory":
         run_one(options.out, "memory")
     else:

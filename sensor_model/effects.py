@@ -7,18 +7,21 @@ of the four that touch every pixel: `fast`. Light is in photons, charge and sign
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
+import scipy  # its modules are loaded where they are used: `novags list` needs none
 from numpy.typing import NDArray
-from scipy import special
 
 from sensor_model.params import Banding, DualGain
 
 Array = NDArray[np.float64]
+APERY = 1.2020569031595942  # zeta(3)
 
 
 def standard_normal(u: Array) -> Array:
     """Standard normal quantiles."""
-    return special.ndtri(u)
+    return scipy.special.ndtri(u)
 
 
 def relative_illumination(
@@ -100,9 +103,9 @@ def shot_noise(u: Array, mu_e: Array) -> Array:
     # scipy's distribution function, whose continued fraction stops too early.
     todo = np.flatnonzero((mu_e < 1e4) | (np.abs(w) < 4.4))
     while todo.size:
-        too_low = special.pdtr(n[todo], mu_e[todo]) < u[todo]
+        too_low = scipy.special.pdtr(n[todo], mu_e[todo]) < u[todo]
         # pdtr is undefined at n = -1, where the distribution function is 0
-        too_high = (n[todo] > 0) & (special.pdtr(np.maximum(n[todo] - 1, 0), mu_e[todo]) >= u[todo])
+        too_high = (n[todo] > 0) & (scipy.special.pdtr(np.maximum(n[todo] - 1, 0), mu_e[todo]) >= u[todo])
         n[todo] += too_low.astype(float) - too_high
         todo = todo[too_low | too_high]
     return n.reshape(shape)
@@ -142,11 +145,15 @@ def nonlinear(charge: Array, droop: float) -> Array:
     return charge - droop * charge * charge
 
 
+def _beta(a: float, b: float) -> float:
+    return math.gamma(a) * math.gamma(b) / math.gamma(a + b)
+
+
 def tukey_sd(lam: float) -> float:
     """Standard deviation of Tukey's lambda distribution of scale 1: published "scales" times this are sigmas."""
     if abs(lam) < 1e-4:  # the bracket below vanishes as lam**2 and loses its digits: the logistic limit and its slope
-        return float(np.pi / np.sqrt(3) * (1 - lam * (1 + 6 * special.zeta(3) / np.pi**2)))
-    return float(np.sqrt(2 / lam**2 * (1 / (1 + 2 * lam) - special.beta(lam + 1, lam + 1))))
+        return float(np.pi / np.sqrt(3) * (1 - lam * (1 + 6 * APERY / np.pi**2)))
+    return float(np.sqrt(2 / lam**2 * (1 / (1 + 2 * lam) - _beta(lam + 1, lam + 1))))
 
 
 def excess_kurtosis(lam: float) -> float:
@@ -155,7 +162,7 @@ def excess_kurtosis(lam: float) -> float:
         return float("inf")
     if abs(lam) < 1e-3:  # the bracket below vanishes as lam**4: the logistic limit, to 0.02
         return 1.2
-    even, odd = special.beta(2 * lam + 1, 2 * lam + 1), special.beta(3 * lam + 1, lam + 1)
+    even, odd = _beta(2 * lam + 1, 2 * lam + 1), _beta(3 * lam + 1, lam + 1)
     fourth = 2 / lam**4 * (1 / (1 + 4 * lam) - 4 * odd + 3 * even)
     return float(fourth / tukey_sd(lam) ** 4 - 3)
 
@@ -163,7 +170,7 @@ def excess_kurtosis(lam: float) -> float:
 def tukey_quantile(u: Array, lam: float) -> Array:
     """(u**lam - (1 - u)**lam)/lam, the logistic quantile log(u/(1 - u)) at lam = 0."""
     # boxcox(u, lam) is (u**lam - 1)/lam without cancellation
-    return special.boxcox(u, lam) - special.boxcox1p(-u, lam)
+    return scipy.special.boxcox(u, lam) - scipy.special.boxcox1p(-u, lam)
 
 
 def read_noise(u: Array, sigma_d: Array | float, tukey_lambda: float | None) -> Array:
@@ -186,7 +193,7 @@ def telegraph(u: Array, level: Array | float, traps: int = 1) -> Array:
 
     One trap gives -level, 0 or +level with odds 1:2:1. Several add up: level * (binomial(2 traps, 1/2) - traps).
     """
-    odds = special.bdtr(np.arange(2 * traps), 2 * traps, 0.5)
+    odds = scipy.special.bdtr(np.arange(2 * traps), 2 * traps, 0.5)
     return level * (np.searchsorted(odds, u).astype(np.float64) - traps)
 
 

@@ -11,8 +11,8 @@ its variance and kurtosis.
 from __future__ import annotations
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import special
 
 from sensor_model import effects
 from sensor_model.frame import own, pattern
@@ -193,7 +193,7 @@ def _charges(mu: Array, shot: str) -> tuple[Array, Array]:
         w = np.linspace(-REACH, REACH, 321)
         return mu[:, None] + np.sqrt(mu)[:, None] * w, np.broadcast_to(np.exp(-0.5 * w * w), (mu.size, w.size))
     n = np.arange(*_span(np.array([mu.min(), mu.max()])))[None]
-    return n, np.exp(special.xlogy(n, mu[:, None]) - mu[:, None] - special.gammaln(n + 1))
+    return n, np.exp(scipy.special.xlogy(n, mu[:, None]) - mu[:, None] - scipy.special.gammaln(n + 1))
 
 
 def _span(ends: Array) -> tuple[float, float, float]:
@@ -224,7 +224,7 @@ def code_moments(level: Array, sd: Array, top: Array | float) -> tuple[Array, Ar
 
 def _summed(level: Array, sd: Array, top: Array) -> tuple[Array, Array]:
     codes = np.rint(level)[..., None] + np.arange(-7, 8)  # 8 standard deviations of 0.8 DN
-    above = special.ndtr((level[..., None] - codes + 0.5) / sd[..., None])  # P(y > code - 1/2)
+    above = scipy.special.ndtr((level[..., None] - codes + 0.5) / sd[..., None])  # P(y > code - 1/2)
     probability = above - np.append(above[..., 1:], np.zeros_like(above[..., :1]), -1)
     clipped = np.clip(codes, 0, top[..., None]) - np.clip(np.rint(level), 0, top)[..., None]
     first = (probability * clipped).sum(-1)
@@ -234,7 +234,7 @@ def _summed(level: Array, sd: Array, top: Array) -> tuple[Array, Array]:
 def _censored(m: Array, s: Array, top: Array) -> tuple[Array, Array]:
     a, b = -m / s, (top - m) / s
     pdf_a, pdf_b = (np.exp(-0.5 * z * z) / np.sqrt(2 * np.pi) for z in (a, b))
-    below, above = special.ndtr(a), special.ndtr(-b)  # P(y < 0), P(y > top)
+    below, above = scipy.special.ndtr(a), scipy.special.ndtr(-b)  # P(y < 0), P(y > top)
     lift, cut = s * (pdf_a + a * below), s * (pdf_b - b * above)  # E[(0 - y)+], E[(y - top)+]
     lift2 = s * s * ((1 + a * a) * below + a * pdf_a)
     cut2 = s * s * ((1 + b * b) * above - b * pdf_b)

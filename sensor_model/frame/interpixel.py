@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import special
 
 from sensor_model import effects
 from sensor_model.params import Sensor
@@ -75,7 +75,7 @@ def positive_part(mean: Array, variance: Array) -> tuple[Array, Array]:
     sd = np.sqrt(variance)
     z = np.divide(mean, sd, out=np.copysign(np.inf, mean), where=sd > 0)
     z = np.clip(z, -40, 40)  # where density and tail are 0 already; the square of a much larger z overflows
-    above, density = special.ndtr(z), np.exp(-0.5 * z * z) / np.sqrt(2 * np.pi)
+    above, density = scipy.special.ndtr(z), np.exp(-0.5 * z * z) / np.sqrt(2 * np.pi)
     first = mean * above + sd * density
     second = (mean * mean + variance) * above + mean * sd * density
     return first, np.maximum(second - first * first, 0)

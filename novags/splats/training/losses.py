@@ -8,9 +8,8 @@ import torch
 from torch import Tensor
 
 from ..cpu.chains import training as chains
-from ..cpu.memory import carve, empty
+from ..cpu.memory import empty
 from ..cpu.parallel import run_chain
-from ..cpu.training import photometric
 from ..first_order import first_order
 
 WINDOW, SIGMA = 11, 1.5  # Wang et al. 2004, and every 3DGS code since
@@ -95,15 +94,11 @@ def compare(image: np.ndarray, target: np.ndarray, dssim_weight: float) -> tuple
     """`photometric_loss` of float32 images [H, W, C], and its gradient for the first, by the CPU's kernels."""
     height, width, channels = image.shape
     x, y = (a.reshape(height, width * channels) for a in (image, target))
-    plane = photometric.plane(height, width * channels)
-    sizes = [n * plane if dssim_weight else 0 for n in (photometric.MOMENTS, photometric.SLOPES)]
-    moments, slopes = carve((sizes[0], np.float32), (sizes[1], np.float32), empty=empty)
     score_sums, l1_sums, v_image = np.zeros(height), np.empty(height), empty(x.shape)
     factors = np.float32((1 - dssim_weight) / x.size), np.float32(-dssim_weight / x.size)
     run_chain(
-        chains.compare, x.size, x, y, channels, _kernel(torch.float32).numpy(), moments, slopes, *factors, score_sums,
-        l1_sums, v_image,
-    )  # fmt: skip
+        chains.compare, x.size, x, y, channels, _kernel(torch.float32).numpy(), *factors, score_sums, l1_sums, v_image
+    )
     value = (1 - dssim_weight) * l1_sums.sum() / x.size + dssim_weight * (1 - score_sums.sum() / x.size)
     with np.errstate(over="ignore"):  # an infinite loss is reported by the caller
         return np.float32(value), v_image.reshape(image.shape)

@@ -9,9 +9,10 @@ from .stages import shared
 
 GRAIN_VALUES = 4096
 GRAIN_ROWS = 8  # of an image
+GRAIN_BAND = 48  # rows of a band, that needs ten rows above and below it too
 
 _activate, _activate_backward = shared(activations.forward), shared(activations.backward)
-_horizontal, _score, _gradient = shared(photometric.horizontal), shared(photometric.score), shared(photometric.gradient)
+_absolute, _structure = shared(photometric.absolute), shared(photometric.structure)
 _project, _find_large = shared(project_backward.backward), shared(optimizer.find_large)
 _adam, _adam_harmonics = shared(optimizer.adam), shared(optimizer.adam_harmonics)
 
@@ -24,19 +25,14 @@ def activate(control, threads, log_scales, logit_opacities, scales, opacities, s
 
 
 @kernel
-def compare(
-    control, threads, image, target, channels, weights, moments, slopes, l1_weight, ssim_weight, score_sums, l1_sums,
-    v_image,
-):  # fmt: skip
+def compare(control, threads, image, target, channels, weights, l1_weight, ssim_weight, score_sums, l1_sums, v_image):
     """L1 and SSIM of two images [H, W * C], and the gradient of the first; see `photometric`."""
     height = len(image)
+    _absolute(control, 0, threads, height, GRAIN_ROWS, image, target, l1_weight, l1_sums, v_image)
     if ssim_weight != 0:
-        _horizontal(control, 0, threads, height, GRAIN_ROWS, image, target, channels, weights, moments)
-        _score(control, 1, threads, height, GRAIN_ROWS, height, image.shape[1], moments, weights, slopes, score_sums)
-    _gradient(
-        control, 2, threads, height, GRAIN_ROWS, image, target, channels, weights, slopes, l1_weight, ssim_weight,
-        l1_sums, v_image,
-    )  # fmt: skip
+        _structure(
+            control, 1, threads, height, GRAIN_BAND, image, target, channels, weights, ssim_weight, score_sums, v_image
+        )
 
 
 @kernel

@@ -268,6 +268,21 @@ def exponent(typingctx, value):
     return floats(floats), codegen
 
 
+def _shift(lanes: list[int]) -> Any:
+    @intrinsic
+    def function(typingctx, value):
+        def codegen(context, builder, sig, args):
+            return builder.shuffle_vector(args[0], ir.Constant(_VEC, [0.0] * LANES), ir.Constant(_INTS, lanes))
+
+        return floats(floats), codegen
+
+    return function
+
+
+# what the lane to the left, or to the right, holds; the outermost lane gets zero
+from_left, from_right = _shift([LANES, *range(LANES - 1)]), _shift([*range(1, LANES), LANES])
+
+
 @intrinsic
 def pair_sums(typingctx, a, b):
     """Sums of neighbouring lanes: a's eight, then b's eight. Four levels of it reduce sixteen vectors to their sums."""

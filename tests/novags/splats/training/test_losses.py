@@ -34,7 +34,9 @@ def test_ssim_is_one_for_equal_images_symmetric_and_at_most_one():
 
 
 @pytest.mark.parametrize("weight", [0.0, 0.2, 1.0])
-@pytest.mark.parametrize("shape", [(40, 33, 3), (16, 16, 1), (1, 1, 3), (3, 50, 4), (50, 3, 3)])
+@pytest.mark.parametrize(
+    "shape", [(40, 33, 3), (16, 16, 1), (1, 1, 3), (3, 50, 4), (50, 3, 3), (5, 301, 3), (103, 64, 2)]
+)
 def test_fused_loss_and_gradient_equal_autograd_in_float64(weight, shape):
     a, b = images(*shape)
     b[0, 0] = a[0, 0]  # |x| has no slope at zero
@@ -45,7 +47,7 @@ def test_fused_loss_and_gradient_equal_autograd_in_float64(weight, shape):
     expected = photometric_loss(reference, b.double(), weight)
     (3 * expected).backward()
     assert loss.item() == pytest.approx(expected.item(), abs=1e-6)
-    assert (x.grad - reference.grad).abs().max() < 1e-5 * reference.grad.abs().max() + 1e-6
+    assert (x.grad - reference.grad).abs().max() < 1e-6 * (reference.grad.abs().max() + 3 / a.numel())
 
 
 def test_gradient_reaches_a_target_that_asks_for_it():
