@@ -25,7 +25,7 @@ class Flags:
 
     Attributes:
         good: 0-d bool tensor on the GPU: updates that are not to happen after a fault are masked by it.
-        iteration: The one that looks; once a fault is read, the one that it occurred in.
+        iteration: The present one; `read` sets it to the faulty one.
     """
 
     def __init__(self, device: torch.device) -> None:
