@@ -102,7 +102,8 @@ def fit_field(
             raise NotFinite(f"{stop}; {checkpoint} leads there again") from None
         state.iteration = done = iteration + 1
         if done % LOG_EVERY == 0 or done == config.iterations:
-            state.losses.append({"iteration": float(done), "loss": value, **norms(state.tensors())})
+            sizes = {name: float(norm) for name, norm in norms(state.tensors()).items()}
+            state.losses.append({"iteration": float(done), "loss": value, **sizes})
             if progress is not None:
                 progress(done, config.iterations, state.losses[-1])
         if checkpoint is not None and (done % config.checkpoint_every == 0 or done == config.iterations):

@@ -18,6 +18,7 @@ forgets how to interpolate: there it is held to that first estimate.
 import math
 from copy import deepcopy
 from dataclasses import dataclass
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -29,6 +30,8 @@ from novags.methods.denoised.measured import MeasuredPictures
 from novags.methods.denoised.network import Network
 from novags.methods.denoised.packing import turned
 from novags.methods.reconstruction import Progress
+from novags.splats.training.companion import masked_step
+from novags.splats.training.flags import Flags, tell
 
 LEAST_VARIANCE = 1e-4  # electrons**2
 ASKED = 8  # views that say how far to follow an adapted network
@@ -56,7 +59,10 @@ class Adaptation:
         self.first = estimate_all(network, pictures.electrons, pictures.mask, pictures.read_variance, turns=1)
         # Floor: where a camera counts nothing and reads without noise, a weight of 1 / 0.
         self.variance = pictures.variance(self.first).clamp_min(LEAST_VARIANCE)
+        self.flags = Flags.on(self.first.device)
         self.generator = torch.Generator(self.first.device).manual_seed(seed)
+        # Of crops: their places are the host's to know. On a CPU one stream is for everything.
+        self.places = self.generator if self.flags is None else torch.Generator().manual_seed(seed)
         self.optimizer = torch.optim.Adam(network.parameters(), lr=config.learning_rate)
         self.step = 0
 
@@ -71,28 +77,27 @@ class Adaptation:
         wanted = torch.where(mask > 0, second, held)
         return ((found - wanted).square() / (variance * (1 + 1 / a**2))).sum() / mask.sum()
 
-    def advance(self) -> float:
-        """One step; returns the loss, about 1 plus the error of the estimate.
+    def advance(self) -> Tensor:
+        """One step; returns the loss, a scalar, about 1 plus the error of the estimate.
 
         Raises:
-            ValueError: If the loss is not finite.
+            ValueError: If the loss is not finite; on a GPU `flags` are told instead.
         """
         rate = self.config.learning_rate * 0.5 * (1 + math.cos(math.pi * self.step / self.config.steps))
         for group in self.optimizer.param_groups:
             group["lr"] = rate
         loss = self.loss()
         loss.backward()
-        value = loss.item()
-        if not math.isfinite(value):
-            raise ValueError(
-                f"the denoiser's loss must be finite, got {value} at step {self.step} of its adaptation: lower "
-                "adapt.learning_rate, or set adapt to none"
-            )
+        where = f"at step {self.step} of its adaptation: lower adapt.learning_rate, or set adapt to none"
+        if self.flags is not None:
+            self.flags.look({"the denoiser's loss": loss}, where)
+        elif not torch.isfinite(loss):
+            raise ValueError(f"the denoiser's loss must be finite, got {loss.item()} {where}")
         torch.nn.utils.clip_grad_norm_(self.network.parameters(), 1.0)
-        self.optimizer.step()
+        masked_step(self.optimizer, None if self.flags is None else self.flags.bad)
         self.optimizer.zero_grad(set_to_none=True)
         self.step += 1
-        return value
+        return loss.detach()
 
     def blend(self, before: Network) -> Blend:
         """How far to follow this network, adapted from `before`, at each level of light, as some views tell."""
@@ -123,7 +128,7 @@ class Adaptation:
         return [torch.cat(each) for each in zip(*parts, strict=True)]
 
     def _integer(self, high: int) -> int:
-        return int(torch.randint(high, (1,), generator=self.generator, device=self.generator.device))
+        return int(torch.randint(high, (1,), generator=self.places))
 
 
 def _of_first(network: Network, first: Tensor, pictures: MeasuredPictures, strength: float) -> Tensor:
@@ -168,8 +173,11 @@ def adapt(
     """
     after = deepcopy(network)
     training = Adaptation(after, pictures, config, seed)
-    for step in range(config.steps):
-        loss = training.advance()
+
+    def report(step: int, loss: float) -> None:
         if progress is not None:
-            progress(step + 1, config.steps + more, {"denoiser": loss})
+            progress(step, config.steps + more, {"denoiser": loss})
+
+    for step in range(1, config.steps + 1):
+        tell(training.flags, step, config.steps, training.advance(), partial(report, step))
     return Adapted(network, after, training.blend(network))

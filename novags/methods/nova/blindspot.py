@@ -78,18 +78,35 @@ def replace_masked(images: Tensor, mask: Tensor, window: int, generator: torch.G
     Raises:
         ValueError: If the image has a single pixel, hence no neighbour.
     """
+    if images.shape[-2] * images.shape[-1] < 2:
+        raise ValueError(f"blind spots need a neighbour, got images of {images.shape[-2]} x {images.shape[-1]} px")
+    if mask.device.type != "cpu":
+        return replaced_everywhere(images, mask, window, generator)
+    view, y, x = mask.nonzero(as_tuple=True)
+    replaced = images.clone()
+    replaced[view, :, y, x] = _neighbours(images, view, y, x, window, generator)
+    return replaced
+
+
+def replaced_everywhere(images: Tensor, mask: Tensor, window: int, generator: torch.Generator) -> Tensor:
+    """`replace_masked` with draws for all pixels, blinded or not: to know which are, a GPU would have to be waited for.
+
+    Arguments are the same.
+    """
+    view, y, x = torch.meshgrid(*(torch.arange(size, device=mask.device) for size in mask.shape), indexing="ij")
+    found = _neighbours(images, view, y, x, window, generator)
+    return torch.where(mask[:, None], found.movedim(-1, 1), images)
+
+
+def _neighbours(images: Tensor, view: Tensor, y: Tensor, x: Tensor, window: int, generator: torch.Generator) -> Tensor:
+    """The colours [..., D] of one random other pixel in the neighbourhood of each of these."""
     height, width = images.shape[-2:]
     rows, columns = min(window, height), min(window, width)
-    if rows * columns < 2:
-        raise ValueError(f"blind spots need a neighbour, got images of {height} x {width} px")
-    view, y, x = mask.nonzero(as_tuple=True)
     top, left = (y - window // 2).clamp(0, height - rows), (x - window // 2).clamp(0, width - columns)
     pick = torch.randint(rows * columns - 1, y.shape, generator=generator, device=images.device)
     # Skipping the pixel's own index leaves the others equally likely.
     pick = pick + (pick >= (y - top) * columns + (x - left))
-    replaced = images.clone()
-    replaced[view, :, y, x] = images[view, :, top + pick // columns, left + pick % columns]
-    return replaced
+    return images[view, :, top + pick // columns, left + pick % columns]
 
 
 def n2v_loss(prediction: Tensor, noisy: Tensor, mask: Tensor) -> Tensor:
@@ -104,4 +121,5 @@ def n2v_loss(prediction: Tensor, noisy: Tensor, mask: Tensor) -> Tensor:
         Scalar.
     """
     squared = ((prediction - noisy) ** 2).sum(1)
-    return squared[mask].sum() / mask.sum()
+    blinded = squared[mask] if mask.device.type == "cpu" else torch.where(mask, squared, 0.0)
+    return blinded.sum() / mask.sum()

@@ -14,8 +14,9 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from novags.methods.nova.config import ConsistencyConfig
-from novags.splats.training.companion import pack, unpack
+from novags.splats.training.companion import masked_step, pack, unpack
 from novags.splats.training.fit import Step
+from novags.splats.training.flags import Flags
 from novags.splats.training.guard import require_finite
 from novags.splats.views import Views
 
@@ -60,12 +61,18 @@ def _rays(height: int, width: int, K: Tensor) -> Tensor:
     y = torch.arange(height, dtype=K.dtype, device=K.device) + 0.5
     x = torch.arange(width, dtype=K.dtype, device=K.device) + 0.5
     pixels = torch.stack([x.expand(height, width), y[:, None].expand(height, width)], -1)
-    return torch.cat([pixels, torch.ones_like(pixels[..., :1])], -1) @ torch.linalg.inv(K).T
+    return torch.cat([pixels, torch.ones_like(pixels[..., :1])], -1) @ _inverse(K).T
+
+
+def _inverse(matrix: Tensor) -> Tensor:
+    """The inverse; `torch.linalg.inv` has a GPU waited for to know that there is one, as there is of any camera."""
+    found: Tensor = torch.linalg.inv_ex(matrix).inverse
+    return found
 
 
 def _move(points: Tensor, origin: Pinhole, goal: Pinhole) -> Tensor:
     """Points [..., 3] from the camera frame of `origin` to the frame of `goal`."""
-    change = goal.viewmat @ torch.linalg.inv(origin.viewmat)
+    change = goal.viewmat @ _inverse(origin.viewmat)
     return points @ change[:3, :3].T + change[:3, 3]
 
 
@@ -116,7 +123,7 @@ def reproject(
     points = _move(_rays(height, width, camera_t.K) * depth_t[..., None], camera_t, camera_s)
     pixels = _project(points, camera_s.K)
     seen = _sample(depth_s.detach()[..., None], pixels.detach())[..., 0]
-    lifted = torch.cat([pixels.detach(), torch.ones_like(seen[..., None])], -1) @ torch.linalg.inv(camera_s.K).T
+    lifted = torch.cat([pixels.detach(), torch.ones_like(seen[..., None])], -1) @ _inverse(camera_s.K).T
     z_t = _move(lifted * seen[..., None], camera_s, camera_t)[..., 2]
     size = pixels.new_tensor([depth_s.shape[1], depth_s.shape[0]])
     # Between the outermost pixel centres, where interpolation has support; the slack tolerates float32 rounding of a
@@ -164,17 +171,22 @@ def source_candidates(views: Views, config: ConsistencyConfig) -> list[list[int]
     fits = (angles < config.max_angle) & (distances > config.min_distance) & (distances < config.max_distance)
     order = (angles if config.pairs == "angle" else distances).argsort(dim=1)
     most = None if config.pairs == "random" else config.neighbours
-    return [[int(j) for j in row if fits[i, j]][:most] for i, row in enumerate(order)]
+    return [[j for j in row if fit[j]][:most] for row, fit in zip(order.tolist(), fits.tolist(), strict=True)]
 
 
 class ConsistencyLoss:
     """L_geo as an extra loss of the fit: picks a source view, warps it, and trains the confidence network alongside."""
 
     def __init__(
-        self, views: Views, images: Callable[[int], Tensor], config: ConsistencyConfig, *, iterations: int, seed: int
-    ) -> None:
-        """images: the picture [H, W, 3] of a view, in its state at the time of the call; not used for renderings."""
+        self, views: Views, images: Callable[[int], Tensor], config: ConsistencyConfig, *, iterations: int, seed: int,
+        flags: Flags | None = None,
+    ) -> None:  # fmt: skip
+        """images: the picture [H, W, 3] of a view, in its state at the time of the call; not used for renderings.
+
+        flags: On a GPU, of all that is trained together; somebody else reads them.
+        """
         self.config, self.images, self.seed = config, images, seed
+        self.flags = flags or Flags.on(views.viewmats.device)
         self.first = round(config.start * iterations)
         self.candidates = source_candidates(views, config)
         if not self.facts()["views_with_partner"]:
@@ -230,12 +242,16 @@ class ConsistencyLoss:
         """Step the confidence network along the gradients that the last backward pass left in it.
 
         Raises:
-            NotFinite: If they are not finite; they then stay there.
+            NotFinite: If they are not finite; they then stay there. On a GPU `flags` are told instead.
         """
         gradients = {name: p.grad for name, p in self.parameters.items() if p.grad is not None}
         if gradients:
-            require_finite("confidence gradient of", gradients, "in L_geo", resumable=True)
-            self.optimizer.step()
+            if self.flags is None:
+                require_finite("confidence gradient of", gradients, "in L_geo", resumable=True)
+                self.optimizer.step()
+            else:
+                self.flags.look({f"confidence gradient of {name}": g for name, g in gradients.items()}, "in L_geo")
+                masked_step(self.optimizer, self.flags.bad)
             self.optimizer.zero_grad(set_to_none=True)
 
     def state(self) -> dict[str, Tensor]:

@@ -15,7 +15,8 @@ from novags.methods.nova.blindspot import n2v_loss, replace_masked, sample_mask
 from novags.methods.nova.denoiser_config import DenoiserConfig
 from novags.methods.nova.packed import demosaiced, packed, turned
 from novags.methods.nova.resunet import ResUNet
-from novags.splats.training.companion import pack, unpack
+from novags.splats.training.companion import masked_step, pack, unpack
+from novags.splats.training.flags import Flags
 from novags.splats.training.guard import NotFinite, all_finite, require_finite
 from sensor_model.params import Cfa
 
@@ -40,8 +41,9 @@ class Denoiser:
     """A network in training on one scene's enhanced views."""
 
     def __init__(
-        self, enhanced: Tensor, config: DenoiserConfig, *, total_steps: int, seed: int, cfa: Cfa | None = None
-    ) -> None:
+        self, enhanced: Tensor, config: DenoiserConfig, *, total_steps: int, seed: int, cfa: Cfa | None = None,
+        flags: Flags | None = None,
+    ) -> None:  # fmt: skip
         """A network before its first step.
 
         Args:
@@ -50,6 +52,7 @@ class Denoiser:
             total_steps: Sets the length of the learning-rate decay.
             seed: Of weights, crops and masks.
             cfa: Colour filter array that the pictures were demosaiced from, for packed blind spots.
+            flags: On a GPU, of all that is trained together; somebody else reads them.
         """
         if enhanced.ndim != 4 or enhanced.shape[-1] != 3 or 0 in enhanced.shape:
             raise ValueError(f"enhanced must be [C, H, W, 3], got {tuple(enhanced.shape)}")
@@ -67,10 +70,12 @@ class Denoiser:
             # A network that starts at zero starts at the blur.
             for parameter in self.network.head.parameters():
                 nn.init.zeros_(parameter)
-        # On a CPU fused, which takes the memory of all its tensors as it comes: they must have one layout.
-        fused = True if enhanced.device.type == "cpu" else None
-        self.optimizer = torch.optim.Adam(self.network.parameters(), lr=config.learning_rate, fused=fused)
+        # Fused, which takes the memory of all its tensors as it comes: they must have one layout.
+        self.optimizer = torch.optim.Adam(self.network.parameters(), lr=config.learning_rate, fused=True)
+        self.flags = flags or Flags.on(enhanced.device)
         self.generator = torch.Generator(enhanced.device).manual_seed(seed)
+        # Of crops: their places are the host's to know. On a CPU one stream is for everything.
+        self.places = self.generator if self.flags is None else torch.Generator().manual_seed(seed)
         self.views: list[int] = []  # of the last batch
 
     def predict(self, images: Tensor) -> Tensor:
@@ -90,33 +95,46 @@ class Denoiser:
         blinded = replace_masked(planes, mask, spots.window, self.generator).view_as(batch)
         return n2v_loss(self.predict(blinded).reshape(planes.shape), planes, mask)
 
-    def train_step(self) -> float:
+    def train_step(self) -> float | Tensor:
         """One optimiser step on L_N2V, plus the gradients that the network already holds. Returns the loss.
 
         Raises:
-            NotFinite: If the loss or a gradient is not finite; the step has then changed nothing.
+            NotFinite: If the loss or a gradient is not finite; the step has then changed nothing. On a GPU `flags` are
+                told instead.
         """
-        stream, held = self.generator.get_state(), self._gradients()
-        held = {name: gradient.clone() for name, gradient in held.items()}  # none unless L_recon reaches the denoiser
-        loss = self.loss()
-        loss.backward()
-        value = loss.item()
-        try:
-            self._check(value)
-        except NotFinite:
-            self.generator.set_state(stream)
-            for name, parameter in self.network.named_parameters():
-                parameter.grad = held.get(name)
-            raise
+        loss = self._checked_gradients() if self.flags is None else self._flagged_gradients(self.flags)
         rate = self.config.learning_rate
         if self.config.decay == "cosine":
             rate *= 0.5 * (1 + math.cos(math.pi * min(1, self.step / self.total_steps)))
         for group in self.optimizer.param_groups:
             group["lr"] = rate
-        self.optimizer.step()
+        masked_step(self.optimizer, None if self.flags is None else self.flags.bad)
         self.optimizer.zero_grad(set_to_none=True)
         self.step += 1
-        return value
+        return loss.item() if self.flags is None else loss.detach()
+
+    def _checked_gradients(self) -> Tensor:
+        """The loss, with its gradients in the network."""
+        stream, held = self.generator.get_state(), self._gradients()
+        held = {name: gradient.clone() for name, gradient in held.items()}  # none unless L_recon reaches the denoiser
+        loss = self.loss()
+        loss.backward()
+        try:
+            self._check(loss.item())
+        except NotFinite:
+            self.generator.set_state(stream)
+            for name, parameter in self.network.named_parameters():
+                parameter.grad = held.get(name)
+            raise
+        return loss
+
+    def _flagged_gradients(self, flags: Flags) -> Tensor:
+        loss = self.loss()
+        loss.backward()
+        looked = {"the denoiser's loss": loss}
+        first = next(iter(self.network.parameters())).grad  # which speaks for all layers, see `_check`
+        flags.look(looked if first is None else looked | {"the denoiser's gradient": first}, self._where())
+        return loss
 
     def _gradients(self) -> dict[str, Tensor]:
         return {name: p.grad for name, p in self.network.named_parameters() if p.grad is not None}
@@ -129,12 +147,14 @@ class Denoiser:
         first = next(iter(self.network.parameters())).grad
         if math.isfinite(loss) and (first is None or all_finite([first])):
             return
-        views = ", ".join(map(str, self.views))
-        where = f"at denoiser step {self.step}, view {views}"
+        where = self._where()
         require_finite("denoiser weight", dict(self.network.named_parameters()), where, resumable=False)
         if not math.isfinite(loss):
             raise NotFinite(f"the denoiser's loss must be finite, got {loss} {where}")
         require_finite("denoiser gradient of", self._gradients(), where, resumable=True)
+
+    def _where(self) -> str:
+        return f"at denoiser step {self.step}, view {', '.join(map(str, self.views))}"
 
     def denoise(self, view: int) -> Tensor:
         """I_clean of one view, [H, W, 3] in 0..1: the network on the unmasked image.
@@ -162,7 +182,7 @@ class Denoiser:
         crops = [self.images[v, :, y : y + rows, x : x + columns] for v, y, x in zip(views, tops, lefts, strict=True)]
         batch = torch.stack(crops)
         if self.config.augment:
-            turn = int(torch.randint(8, (1,), generator=self.generator, device=batch.device))
+            turn = int(torch.randint(8, (1,), generator=self.places))
             if self.cfa is not None:
                 return turned(batch, turn, self.cfa)
             batch = torch.rot90(batch, turn % 4, (2, 3))
@@ -170,12 +190,13 @@ class Denoiser:
         return batch
 
     def _integers(self, high: int) -> list[int]:
-        drawn = torch.randint(high, (self.config.batch,), generator=self.generator, device=self.images.device)
-        return [int(i) for i in drawn]
+        return [int(i) for i in torch.randint(high, (self.config.batch,), generator=self.places)]
 
     def state(self) -> dict[str, Tensor]:
         """Everything the next step depends on, except the images: weights, Adam moments, step and random state."""
         own = {"denoiser.generator": self.generator.get_state(), "denoiser.steps": torch.tensor(self.step)}
+        if self.places is not self.generator:
+            own["denoiser.places"] = self.places.get_state()
         return pack("denoiser", self.network, self.optimizer) | own
 
     def restore(self, tensors: dict[str, Tensor]) -> None:
@@ -198,4 +219,9 @@ class Denoiser:
                 "starts over"
             )
         self.generator.set_state(state.cpu())
+        if self.places is not self.generator:
+            places = tensors.get("denoiser.places")
+            if places is None or places.shape != self.places.get_state().shape or places.dtype != like.dtype:
+                raise ValueError("the checkpoint is of a run on a CPU: delete it, the run then starts over")
+            self.places.set_state(places.cpu())
         self.step = done

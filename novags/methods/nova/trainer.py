@@ -3,8 +3,8 @@
 import dataclasses
 import hashlib
 import json
-import math
 import time
+from functools import partial
 from pathlib import Path
 
 import torch
@@ -24,7 +24,8 @@ from novags.methods.reconstruction import Progress, Reconstruction
 from novags.methods.start import start_gaussians
 from novags.splats.files.tensors import digest, read, write_tensors
 from novags.splats.gaussians import Gaussians
-from novags.splats.training.fit import fit
+from novags.splats.training.fit import LOG_EVERY, fit
+from novags.splats.training.flags import Flags, tell
 from novags.splats.training.guard import NotFinite
 from novags.splats.training.step import HarmonicsPenalty, Step
 from sensor_model.files.reading import reading
@@ -100,11 +101,15 @@ class _Training:
     def __init__(self, problem: Problem, enhanced: Tensor, config: NovaConfig, checkpoint: Path | None) -> None:
         iterations = config.fit.iterations
         self.config, self.enhanced = config, enhanced
+        self.flags = Flags.on(enhanced.device)
+        self.sizes: dict[str, float] = {}  # of the networks, as they were read on a GPU
         self.denoiser: Denoiser | None = None
         if config.denoiser is not None:
             total = config.denoiser.total_steps(iterations)
             cfa = None if problem.raw is None else problem.raw.cfa
-            self.denoiser = Denoiser(enhanced, config.denoiser, total_steps=total, seed=problem.seed, cfa=cfa)
+            self.denoiser = Denoiser(
+                enhanced, config.denoiser, total_steps=total, seed=problem.seed, cfa=cfa, flags=self.flags
+            )
         self.clean = _PseudoClean(enhanced, self.denoiser, config)
         self.noise: dict[int, tuple[Tensor, Tensor]] = {}  # view -> a pseudo-clean image and the noise map made from it
         self.geo: ConsistencyLoss | None = None
@@ -112,7 +117,7 @@ class _Training:
             noisy = config.consistency.warped == "enhanced"
             self.geo = ConsistencyLoss(
                 problem.views, enhanced.__getitem__ if noisy else self.clean, config.consistency,
-                iterations=iterations, seed=problem.seed,
+                iterations=iterations, seed=problem.seed, flags=self.flags,
             )  # fmt: skip
         self.run = run_identity(problem, config)
         self.start: Gaussians | None = None
@@ -143,21 +148,24 @@ class _Training:
 
     def _train_denoiser(self, denoiser: Denoiser, started: float, progress: Progress | None) -> None:
         steps, saved = denoiser.config.warmup_steps, time.perf_counter()
+
+        def report(step: int, loss: float) -> None:
+            if progress is not None:
+                progress(step, steps + self.config.fit.iterations, {"denoiser": loss})
+
         while denoiser.step < steps:
             try:
                 loss = denoiser.train_step()
+                self.seconds = time.perf_counter() - started
+                if time.perf_counter() - saved > SAVE_INTERVAL:
+                    self.save()
+                    saved = time.perf_counter()
+                tell(self.flags, denoiser.step, steps, loss, partial(report, denoiser.step))
             except NotFinite as stop:
                 if self.path is None:
                     raise
-                if stop.resumable:
-                    self.save()
+                self.save_stopped(stop)
                 raise NotFinite(f"{stop}; {self.path} leads there again", resumable=stop.resumable) from None
-            self.seconds = time.perf_counter() - started
-            if time.perf_counter() - saved > SAVE_INTERVAL:
-                self.save()
-                saved = time.perf_counter()
-            if progress is not None:
-                progress(denoiser.step, steps + self.config.fit.iterations, {"denoiser": loss})
 
     def before_step(self, iteration: int) -> None:
         """Bring both networks up to a splat iteration, then save if the fit has just saved."""
@@ -168,13 +176,19 @@ class _Training:
         if denoiser is not None and denoiser.step < denoiser.config.total_steps(iteration):
             denoiser.train_step()
         self.stepping = False
+        if self.flags is not None and iteration % LOG_EVERY == LOG_EVERY - 1:
+            norms = self.norms()
+            self.flags.keep(torch.stack(list(norms.values())), partial(self._read, list(norms)))
         fit = self.config.fit
         if iteration and (iteration % fit.checkpoint_every == 0 or iteration == fit.iterations):
             self.save()
 
     def save_stopped(self, stop: NotFinite) -> None:
-        """Save the state of the networks before the step that stopped, if the splats are saved in that state too."""
-        if not stop.resumable:
+        """Save the state of the networks before the step that stopped, if the splats are saved in that state too.
+
+        On a GPU they have gone on when a fault is known: the last that was saved leads there again.
+        """
+        if not stop.resumable or self.flags is not None:
             return
         if not self.stepping:  # gradients of this iteration's backward pass would count twice when it is done again
             for part in (self.geo, self.denoiser):
@@ -182,13 +196,17 @@ class _Training:
                     part.optimizer.zero_grad(set_to_none=True)
         self.save()
 
-    def norms(self) -> dict[str, float]:
-        """Norm of the weights of each network."""
+    def norms(self) -> dict[str, Tensor]:
+        """Norm of the weights of each network, scalars."""
         networks = {"denoiser": self.denoiser, "confidence": self.geo}
-        return {
-            f"norm_{name}": math.sqrt(sum(float(p.detach().square().sum()) for p in part.network.parameters()))
+        sums = {
+            name: [p.detach().square().sum().double() for p in part.network.parameters()]
             for name, part in networks.items() if part is not None
         }  # fmt: skip
+        return {f"norm_{name}": torch.stack(each).sum().sqrt() for name, each in sums.items()}
+
+    def _read(self, names: list[str], numbers: list[float]) -> None:
+        self.sizes = dict(zip(names, numbers, strict=True))
 
     def noise_weights(self, step: Step) -> Tensor:
         """The weights of this iteration's L_SH."""
@@ -203,6 +221,8 @@ class _Training:
         """Write everything that the next iteration depends on, the fit's checkpoint included."""
         if self.path is None or self.fit_path is None:
             return
+        if self.flags is not None:
+            self.flags.read()
         tensors = self.clean.state() | (self.geo.state() if self.geo is not None else {})
         if self.denoiser is not None:
             tensors |= self.denoiser.state()
@@ -312,7 +332,8 @@ def train(
 
     def report(done: int, total: int, entry: dict[str, float]) -> None:
         if progress is not None:
-            progress(warmup + done, warmup + total, entry | training.norms())
+            sizes = training.sizes if training.flags else {k: float(v) for k, v in training.norms().items()}
+            progress(warmup + done, warmup + total, entry | sizes)
 
     penalty = None if config.sh_weight is None else HarmonicsPenalty(training.noise_weights)
     try:
@@ -320,9 +341,11 @@ def train(
             start, problem.views, training.clean.target, config.fit,
             extra_losses=[loss for loss in (training.geo, penalty) if loss is not None],
             before_step=training.before_step, needs_depth=training.geo.due if training.geo else False,
-            checkpoint=checkpoint, progress=progress and report,
+            checkpoint=checkpoint, progress=progress and report, flags=training.flags,
         )  # fmt: skip
         training.before_step(config.fit.iterations)
+        if training.flags is not None:
+            training.flags.read()
     except NotFinite as stop:
         training.save_stopped(stop)
         raise

@@ -51,6 +51,7 @@ def rasterize(
     covars: Tensor | None = None,
     *,
     backend: str = "auto",
+    check_values: bool = True,
     **others: Any,
 ) -> tuple[Tensor, Tensor, Mapping[str, Any]]:
     """Splat N Gaussians into C pinhole cameras; names, order, shapes and meaning as in `gsplat.rasterization`.
@@ -88,6 +89,8 @@ def rasterize(
         segmented: How gsplat sorts; images do not depend on it.
         covars: [N, 3, 3] covariances instead of `quats` and `scales`; differentiable with "torch" and "gsplat" only.
         backend: "auto" (gsplat for CUDA tensors, else numba), "torch", "numba" (float32, CPU), "gsplat" (CUDA).
+        check_values: Whether numbers are looked at, and not shapes alone. A GPU has to be waited for; False if they are
+            known to be right.
         others: Further arguments of gsplat, for which nothing but its defaults is supported.
 
     Returns:
@@ -116,7 +119,7 @@ def rasterize(
     tensors = {"means": means, "quats": quats, "scales": scales, "opacities": opacities, "colors": colors}
     tensors |= {"viewmats": viewmats, "Ks": Ks, "backgrounds": backgrounds, "covars": covars}
     check_numbers(width, height, near_plane, far_plane, eps2d, radius_clip)
-    check_input(tensors, sh_degree, render_mode, backend)
+    check_input(tensors, sh_degree, render_mode, backend, check_values)
     options: dict[str, Any] = {"sh_degree": sh_degree, "near_plane": near_plane, "far_plane": far_plane, "eps2d": eps2d}
     options["radius_clip"] = radius_clip
     gaussians, camera = (means, quats, scales, opacities), (viewmats, Ks, width, height)

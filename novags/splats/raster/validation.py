@@ -67,13 +67,17 @@ def check_numbers(width: Any, height: Any, near_plane: float, far_plane: float, 
         raise ValueError(f"radius_clip must be finite and >= 0 pixels, got {clip}")
 
 
-def check_input(tensors: dict[str, Tensor | None], sh_degree: int | None, render_mode: str, backend: str) -> None:
+def check_input(
+    tensors: dict[str, Tensor | None], sh_degree: int | None, render_mode: str, backend: str, values: bool
+) -> None:
     """Raise ValueError for tensors, by argument name of `rasterize`, that are wrong; None: not given.
 
     The CPU kernels notice bad numbers of Gaussians in passing, and ask for `check_gaussians` only then.
     """
     given = {name: tensor for name, tensor in tensors.items() if tensor is not None}
     check_shapes(given, sh_degree)
+    if not values:
+        return
     check_camera(given)
     if backend != "numba":
         check_gaussians({**given, "colors": used_colors(given["colors"], sh_degree, render_mode.startswith("RGB"))})

@@ -39,12 +39,15 @@ class Companion:
         """Forget the gradients."""
         self.optimizer.zero_grad(set_to_none=True)
 
-    def step(self, iteration: int, iterations: int) -> None:
-        """One step from the gradients, with the rates of an `iteration` of a run of `iterations`."""
+    def step(self, iteration: int, iterations: int, bad: Tensor | None = None) -> None:
+        """One step from the gradients, with the rates of an `iteration` of a run of `iterations`.
+
+        `bad`: on a GPU: 1.0 if nothing is to change, else 0.0.
+        """
         share = self.cool_to ** (iteration / max(1, iterations))
         for group, rate in zip(self.optimizer.param_groups, self.rates, strict=True):
             group["lr"] = share * rate
-        self.optimizer.step()
+        masked_step(self.optimizer, bad)
         self.clear()
 
     def named_parameters(self) -> dict[str, Tensor]:
@@ -63,6 +66,15 @@ class Companion:
             ValueError: If it is of a network of another shape, or damaged.
         """
         unpack(PREFIX, tensors, self.network, self.optimizer)
+
+
+def masked_step(optimizer: Adam, bad: Tensor | None = None) -> None:
+    """A step; on a GPU nothing at all where `bad` is 1.0, by torch's own way for gradients that overflow."""
+    if bad is not None:
+        optimizer.found_inf = bad  # type: ignore[attr-defined]
+        for group in optimizer.param_groups:
+            group["fused"] = True  # the only one that looks at it
+    optimizer.step()
 
 
 def pack(prefix: str, network: nn.Module, adam: Adam) -> dict[str, Tensor]:
@@ -99,8 +111,8 @@ def unpack(prefix: str, tensors: dict[str, Tensor], network: nn.Module, adam: Ad
         if not whole or not (gradient is None or _alike(torch.nan_to_num(gradient), parameter)):
             raise ValueError(f"the checkpoint's {prefix} is damaged in {name}: delete it, the run then starts over")
         if moments:
-            # torch keeps Adam's step count on the CPU for any device of the weights.
-            adam.state[parameter] = {k: v if k == "step" else v.to(parameter) for k, v in moments.items()}
+            # the step count too: `masked_step` has it where the weights are
+            adam.state[parameter] = {key: value.to(parameter) for key, value in moments.items()}
         if gradient is not None:
             # A copy in the layout of the parameter, to which autograd goes on adding.
             parameter.grad = torch.zeros_like(parameter).copy_(gradient)

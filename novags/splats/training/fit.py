@@ -21,15 +21,17 @@ from .checkpoint import TrainingState, load_checkpoint, save_checkpoint
 from .companion import Companion
 from .config import FitConfig
 from .direct import DirectFit
+from .flags import EVERY, Flags
 from .guard import NotFinite, norms
-from .iteration import backpropagate, check_parameters, current, default_photometric, where
+from .iteration import backpropagate, check_parameters, current, default_photometric, parameters, where
 from .pictures import LossTerms
 from .step import Step
 from .updates.adam import Adam
 from .updates.camera_refinement import CameraState, move_cameras
-from .updates.mcmc import FARTHEST, add_noise, grow, prune_to_cap, relocate
+from .updates.mcmc import DEAD_OPACITY, FARTHEST, add_noise, grow, prune_to_cap, relocate
 
 LOG_EVERY = 10  # iterations between entries of FitResult.losses and calls of progress
+Progress = Callable[[int, int, dict[str, float]], None]
 
 
 @dataclass(kw_only=True)
@@ -67,8 +69,9 @@ def fit(
     companion: Companion | None = None,
     before_step: Callable[[int], None] | None = None,
     needs_depth: bool | Callable[[int], bool] = False,
-    progress: Callable[[int, int, dict[str, float]], None] | None = None,
+    progress: Progress | None = None,
     checkpoint: Path | None = None,
+    flags: Flags | None = None,
 ) -> FitResult:
     """Fit Gaussians to images by 3DGS-MCMC, on the device of the Gaussians.
 
@@ -88,6 +91,7 @@ def fit(
         checkpoint: File of the training state. Written every `checkpoint_every` iterations and at the end; if it is
             there already, and of a run with this start, these views and this config (but maybe other targets and
             losses), the run goes on from it. State kept by `target` or the losses is not saved.
+        flags: On a GPU, of what `before_step` does too: the fit reads them with its own.
 
     Returns:
         FitResult.
@@ -96,7 +100,8 @@ def fit(
         ValueError: For a checkpoint of another run, no views, Gaussians that are not float32, views or targets on
             another device, or targets of the wrong shape.
         NotFinite: For a loss, gradient or parameter that is not finite. `checkpoint` then holds the state before that
-            iteration, or the last one that was finite: the same call stops at the same place again.
+            iteration, or the last one that was finite: the same call stops at the same place again. On a GPU up to
+            `flags.EVERY` iterations later, with everything as it was before that one.
     """
     _check_views(gaussians, views)
     started = time.perf_counter()
@@ -113,15 +118,19 @@ def fit(
     cap = config.cap_max if config.cap_max is not None else len(gaussians)
     loss = photometric or partial(default_photometric, config.dssim_weight)
     direct = _direct(state, views, config, extent, LossTerms.of(photometric, extra_losses, config.dssim_weight))
+    flags = flags or Flags.on(state.gaussians.means.device)
     save = None if checkpoint is None else partial(_save, checkpoint, settings, started)
     for iteration in range(state.iteration, config.iterations):
         means_rate = config.rates.means_at(iteration, config.iterations, extent)
         rates = config.rates.at(iteration, config.iterations)
         view = config.view_at(iteration, len(views))
+        if flags is not None:
+            flags.iteration = iteration
         try:
             if before_step is not None:
                 _prepare(before_step, iteration)
-            losses, aim = None, target
+            losses: tuple[float | Tensor, float | Tensor] | None = None
+            aim = target
             with_depth = needs_depth(iteration) if callable(needs_depth) else needs_depth
             if direct is not None:
                 image = target(view)
@@ -131,27 +140,29 @@ def fit(
             if losses is None:
                 losses = backpropagate(
                     state, views, iteration, config, extent, with_depth=with_depth,
-                    photometric=partial(_compare, loss, aim), extra_losses=extra_losses,
+                    photometric=partial(_compare, loss, aim), extra_losses=extra_losses, flags=flags,
                 )  # fmt: skip
                 # extra losses may reach harmonics that are not rendered yet
                 degree = 3 if extra_losses else config.degree_at(iteration)
-                state.adam.step(state.gaussians, rates, means_rate, degree)
+                good = None if flags is None else flags.good
+                state.adam.step(state.gaussians, rates, means_rate, degree, good)
             if companion is not None:
-                companion.step(iteration, config.iterations)
-            _move(state, iteration, config, cap, means_rate, extent)
+                companion.step(iteration, config.iterations, None if flags is None else flags.bad)
+            _move(state, iteration, config, cap, means_rate, extent, flags)
             state.iteration = done = iteration + 1
-            saving = done % config.checkpoint_every == 0 or done == config.iterations
-            if done % LOG_EVERY == 0 or saving:
-                sizes = norms(state.gaussians.tensors())
-                if not math.isfinite(sum(sizes.values())):
-                    check_parameters(state, where(iteration, view))
+            ends, place = done == config.iterations, where(iteration, view)
+            saving = done % config.checkpoint_every == 0 or ends
+            if done % LOG_EVERY == 0 or ends:
+                _log(state, config, losses, progress, place, flags)
+            elif saving and flags is None:
+                check_parameters(state, place)
+            if flags is not None and (done % EVERY == 0 or saving):
+                flags.look(parameters(state), place)
+                flags.read()
         except NotFinite as stop:
+            if flags is not None:  # which held everything as it was before that iteration
+                state.iteration = state.adam.count = flags.iteration
             raise _stopped(stop, state, checkpoint, save) from None
-        if done % LOG_EVERY == 0 or done == config.iterations:
-            entry = {"iteration": float(done), "loss": losses[0], "photometric": losses[1]}
-            state.losses.append({**entry, "n_gaussians": float(len(state.gaussians)), **sizes})
-            if progress is not None:
-                progress(done, config.iterations, state.losses[-1])
         if save is not None and saving:
             save(state)
     return FitResult(
@@ -159,6 +170,31 @@ def fit(
         config=config, losses=state.losses, seconds=time.perf_counter() - started, earlier=earlier,
         peak_bytes=_peak_bytes(state.gaussians),
     )  # fmt: skip
+
+
+def _log(
+    state: TrainingState, config: FitConfig, losses: Sequence[float | Tensor], progress: Progress | None, place: str,
+    flags: Flags | None,
+) -> None:  # fmt: skip
+    """Add an entry to the log: now on a CPU, at the next reading on a GPU."""
+    done, sizes = state.iteration, norms(state.gaussians.tensors())
+    known = {"iteration": float(done), "n_gaussians": float(len(state.gaussians))}
+    names = ("loss", "photometric", *sizes)
+
+    def deliver(numbers: Sequence[float]) -> None:
+        entry = dict(zip(names, numbers, strict=True))
+        order = ("iteration", "loss", "photometric", "n_gaussians", *sizes)
+        state.losses.append({name: (known | entry)[name] for name in order})
+        if progress is not None:
+            progress(done, config.iterations, state.losses[-1])
+
+    if flags is not None:
+        flags.keep(torch.stack([*(torch.as_tensor(x) for x in losses), *sizes.values()]), deliver)
+        return
+    numbers = [float(x) for x in (*losses, *sizes.values())]
+    if not math.isfinite(sum(numbers[2:])):
+        check_parameters(state, place)
+    deliver(numbers)
 
 
 def _compare(loss: Callable[[Step, Tensor], Tensor], aim: Callable[[int], Tensor], step: Step) -> Tensor:
@@ -255,24 +291,30 @@ def _direct(
     return DirectFit(views, config, extent, terms)
 
 
-def _move(state: TrainingState, iteration: int, config: FitConfig, cap: int, means_rate: float, extent: float) -> None:
-    """Everything that moves after the optimiser step: the population of Gaussians, and cameras."""
-    state.gaussians = _mcmc_step(state.gaussians.detach(), state.adam, iteration, config, cap, means_rate, extent)
+def _move(
+    state: TrainingState, iteration: int, config: FitConfig, cap: int, means_rate: float, extent: float,
+    flags: Flags | None,
+) -> None:  # fmt: skip
+    """Everything that moves after the optimiser step: the population of Gaussians, and cameras; on a GPU masked."""
+    state.gaussians = _mcmc_step(
+        state.gaussians.detach(), state.adam, iteration, config, cap, means_rate, extent, flags
+    )
     if state.cameras is not None and config.refine_cameras is not None:
         factor = config.refine_cameras.factor_at(iteration, config.iterations)
-        move_cameras(state.cameras, config.refine_cameras, factor)
+        move_cameras(state.cameras, config.refine_cameras, factor, None if flags is None else flags.good)
 
 
 def _mcmc_step(
-    gaussians: Gaussians, adam: Adam, iteration: int, config: FitConfig, cap: int, means_rate: float, extent: float
-) -> Gaussians:
+    gaussians: Gaussians, adam: Adam, iteration: int, config: FitConfig, cap: int, means_rate: float, extent: float,
+    flags: Flags | None = None,
+) -> Gaussians:  # fmt: skip
     """Relocate, grow and shake, after the optimiser step as in gsplat."""
     mcmc = config.mcmc
     if mcmc is None:
         return gaussians
     stop = mcmc.refine_stop if mcmc.refine_stop is not None else config.iterations * 5 // 6
     if mcmc.refine_start < iteration < stop and iteration % mcmc.refine_every == 0:
-        adam.reset(relocate(gaussians, _generator(config.seed, iteration, 1)))
+        adam.reset(relocate(gaussians, _generator(config.seed, iteration, 1), _dead(gaussians, flags)))
         goal = min(cap, int(mcmc.growth * len(gaussians)))
         gaussians, drawn = grow(gaussians, goal, _generator(config.seed, iteration, 2))
         adam.reset(drawn)
@@ -280,8 +322,23 @@ def _mcmc_step(
     if mcmc.noise_lr:
         stream = _generator(config.seed, iteration, 3)
         rate = mcmc.noise_lr * means_rate / config.unit**2  # times covariances, which are lengths squared
-        add_noise(gaussians, rate, stream, limit=FARTHEST * extent)
+        add_noise(gaussians, rate, stream, limit=FARTHEST * extent, good=None if flags is None else flags.good)
     return gaussians
+
+
+def _dead(gaussians: Gaussians, flags: Flags | None) -> Tensor | None:
+    """On a GPU the indices of the Gaussians that show nothing, whose number is read with the flags.
+
+    Raises:
+        NotFinite: After a fault: nothing must be added then.
+    """
+    if flags is None:
+        return None
+    dead = gaussians.opacities.detach() <= DEAD_OPACITY
+    counts: list[float] = []
+    flags.keep(dead.sum()[None], counts.extend)
+    flags.read()
+    return torch.argsort(dead.to(torch.uint8), descending=True, stable=True)[: int(counts[0])]
 
 
 def _peak_bytes(gaussians: Gaussians) -> int:

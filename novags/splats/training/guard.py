@@ -49,6 +49,6 @@ def require_finite(what: str, tensors: Mapping[str, Tensor], where: str, *, resu
             )
 
 
-def norms(tensors: Mapping[str, Tensor]) -> dict[str, float]:
-    """Euclidean norm of each tensor, by its name with "norm_" before it."""
-    return {f"norm_{name}": float(torch.linalg.vector_norm(tensor.detach())) for name, tensor in tensors.items()}
+def norms(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Euclidean norm of each tensor, a scalar, by its name with "norm_" before it."""
+    return {f"norm_{name}": torch.linalg.vector_norm(tensor.detach()) for name, tensor in tensors.items()}

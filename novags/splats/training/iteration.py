@@ -1,7 +1,9 @@
 """One iteration of a fit by autograd, up to the optimiser step: any device, any loss, refined cameras."""
 
 import dataclasses
+import operator
 from collections.abc import Callable, Sequence
+from functools import reduce
 
 import torch
 from torch import Tensor
@@ -9,6 +11,7 @@ from torch import Tensor
 from ..views import Views
 from .checkpoint import TrainingState
 from .config import FitConfig
+from .flags import PARAMETER, Flags
 from .guard import NotFinite, require_finite
 from .losses import photometric_loss
 from .step import Step, render_step
@@ -28,26 +31,38 @@ def backpropagate(
     with_depth: bool,
     photometric: Callable[[Step], Tensor],
     extra_losses: Sequence[ExtraLoss],
-) -> tuple[float, float]:
+    flags: Flags | None = None,
+) -> tuple[Tensor, Tensor]:
     """Leave gradients in the Gaussians and, where they are refined, in the cameras.
 
     Returns:
-        Loss and its photometric part.
+        Loss and its photometric part, scalars.
 
     Raises:
-        NotFinite: For a loss, gradient or parameter that is not finite.
+        NotFinite: For a loss, gradient or parameter that is not finite; with `flags`, they are told instead.
     """
-    step, regularizer = _render(state, views, iteration, config, extent, with_depth)
-    loss, part = _loss(step, regularizer, photometric(step), extra_losses)
+    step, regularizer = _render(state, views, iteration, config, extent, with_depth, flags is not None)
+    terms = {"photometric": photometric(step), "regulariser": regularizer}
+    terms |= _extra_terms(step, extra_losses)
+    loss = reduce(operator.add, terms.values())
+    place = where(iteration, step.view)
+    if flags is None and not torch.isfinite(loss):
+        values = ", ".join(f"{name} {float(term.detach())}" for name, term in terms.items())
+        raise NotFinite(f"the loss must be finite, got {float(loss.detach())} {place}: {values}")
     loss.backward()
-    require_finite("gradient of", _gradients(state), where(iteration, step.view), resumable=True)
-    return float(loss.detach()), part
+    if flags is None:
+        require_finite("gradient of", _gradients(state), place, resumable=True)
+    else:
+        found = {PARAMETER + name: tensor for name, tensor in parameters(state).items()}
+        found |= {f"the loss {name}": term for name, term in terms.items()}
+        flags.look(found | {f"gradient of {name}": t for name, t in _gradients(state).items()}, place)
+    return loss.detach(), terms["photometric"].detach()
 
 
 def _render(
-    state: TrainingState, views: Views, iteration: int, config: FitConfig, extent: float, with_depth: bool
+    state: TrainingState, views: Views, iteration: int, config: FitConfig, extent: float, with_depth: bool, known: bool
 ) -> tuple[Step, Tensor]:
-    """This iteration's Step, and the regulariser."""
+    """This iteration's Step, and the regulariser; `known`: as for `render_step`."""
     gaussians, fused = state.gaussians.requires_grad_(), config.backend != "torch"
     opacity_reg = config.opacity_reg_at(iteration)
     scales, opacities, regularizer = activate(gaussians, opacity_reg, config.scale_reg / config.unit, fused=fused)
@@ -58,7 +73,7 @@ def _render(
         step = render_step(
             gaussians, scales, opacities, current(views, state, extent), view=view, iteration=iteration,
             iterations=config.iterations, sh_degree=config.degree_at(iteration), with_depth=with_depth,
-            splatting=config.splatting, backend=config.backend,
+            splatting=config.splatting, backend=config.backend, known=known,
         )  # fmt: skip
     except ValueError:
         # The rasteriser refuses Gaussians that the last update has damaged, but knows no iterations.
@@ -67,41 +82,33 @@ def _render(
     return step, regularizer
 
 
-def _loss(
-    step: Step, regularizer: Tensor, photometric: Tensor, extra_losses: Sequence[ExtraLoss]
-) -> tuple[Tensor, float]:
-    """Total loss, and its photometric part as a number."""
-    terms = {"photometric": photometric, "regulariser": regularizer}
-    loss = photometric + regularizer
-    for extra in extra_losses:
-        term = extra(step)
+def _extra_terms(step: Step, extra_losses: Sequence[ExtraLoss]) -> dict[str, Tensor]:
+    """The further terms of the loss that are due, by name; where two have one name, with their number."""
+    terms: dict[str, Tensor] = {}
+    for number, extra in enumerate(extra_losses):
+        term, name = extra(step), getattr(extra, "__name__", type(extra).__name__)
         if term is not None:
-            terms[getattr(extra, "__name__", type(extra).__name__)] = term
-            loss = loss + term
-    if not torch.isfinite(loss):
-        values = ", ".join(f"{name} {float(term.detach())}" for name, term in terms.items())
-        place = where(step.iteration, step.view)
-        raise NotFinite(f"the loss must be finite, got {float(loss.detach())} {place}: {values}")
-    return loss, float(photometric.detach())
+            terms[name if name not in terms else f"{name} {number}"] = term
+    return terms
 
 
 def _gradients(state: TrainingState) -> dict[str, Tensor]:
-    leaves = state.gaussians.tensors()
-    if state.cameras is not None:
-        leaves = {**leaves, "camera twists": state.cameras.twists}
-    if state.companion is not None:
-        leaves = {**leaves, **state.companion.named_parameters()}
-    return {name: tensor.grad for name, tensor in leaves.items() if tensor.grad is not None}
+    return {name: tensor.grad for name, tensor in parameters(state).items() if tensor.grad is not None}
 
 
-def check_parameters(state: TrainingState, where: str) -> None:
-    """Raise NotFinite for a parameter of Gaussians or cameras that is not finite."""
+def parameters(state: TrainingState) -> dict[str, Tensor]:
+    """Everything that is trained, by name."""
     tensors = state.gaussians.tensors()
     if state.cameras is not None:
         tensors = {**tensors, "camera twists": state.cameras.twists}
     if state.companion is not None:
         tensors = {**tensors, **state.companion.named_parameters()}
-    require_finite("parameter", tensors, where, resumable=False)
+    return tensors
+
+
+def check_parameters(state: TrainingState, where: str) -> None:
+    """Raise NotFinite for a parameter of Gaussians or cameras that is not finite."""
+    require_finite("parameter", parameters(state), where, resumable=False)
 
 
 def where(iteration: int, view: int) -> str:

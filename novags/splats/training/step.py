@@ -131,6 +131,7 @@ def render_step(
     with_depth: bool,
     splatting: Mapping[str, Any],
     backend: str,
+    known: bool = False,
 ) -> Step:
     """Render a training view, with expected depth if asked for.
 
@@ -146,6 +147,7 @@ def render_step(
         with_depth: Render expected depth too.
         splatting: Further arguments of `rasterize`, as `FitConfig.splatting` says.
         backend: As in `rasterize`.
+        known: Numbers are not checked here, for somebody else does.
     """
 
     def render(j: int, mode: str, colors: Tensor = gaussians.sh) -> tuple[Tensor, Tensor, Info]:
@@ -153,7 +155,7 @@ def render_step(
         renders, alphas, info = rasterize(
             gaussians.means, gaussians.quats, scales, opacities, colors, views.viewmats[j : j + 1],
             views.Ks[j : j + 1], views.width, views.height, sh_degree=degree, render_mode=mode, backend=backend,
-            packed=False, **splatting,
+            packed=False, check_values=not known, **splatting,
         )  # fmt: skip
         return renders[0], alphas[0, ..., 0], info
 

@@ -86,7 +86,9 @@ def _formulas_of(setting: Setting) -> Iterator[None]:
     """Whether Adam takes its kernel or its torch formula, on the CPU."""
     kernel = adam.Adam._update
 
-    def formula(self: adam.Adam, value: Tensor, gradient: Tensor, first: Tensor, second: Tensor, rate: float) -> None:
+    def formula(
+        self: adam.Adam, value: Tensor, gradient: Tensor, first: Tensor, second: Tensor, rate: float, good: None
+    ) -> None:
         corrections = 1 - adam.BETA1**self.count, math.sqrt(1 - adam.BETA2**self.count)
         adam._update_torch(value, gradient, first, second, rate, *corrections)
 

@@ -6,6 +6,7 @@ import json
 import math
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,8 @@ from torch import Tensor, nn
 
 from novags.methods.enhancers.networks.kind import Kind, crops
 from novags.splats.files.tensors import digest, read, write_tensors
-from novags.splats.training.companion import pack, unpack
+from novags.splats.training.companion import masked_step, pack, unpack
+from novags.splats.training.flags import Flags, tell
 
 Progress = Callable[[int, int, dict[str, float]], None]
 SAVED = 60.0  # s between two checkpoints
@@ -55,27 +57,35 @@ def learned(
     step, earlier = 0, 0.0
     if checkpoint is not None and checkpoint.exists():
         step, earlier = _restored(checkpoint, network, adam, run)
+
+    def report(step: int, loss: float) -> None:
+        if progress is not None:
+            progress(step, steps + more, {"enhancer": loss})
+
     network.train()
+    flags = Flags.on(pictures.device)
     started = saved = time.perf_counter()
     while step < steps:
         batch = crops(pictures, *rehearsal.batch(config), np.random.default_rng([seed, step]))
         adam.zero_grad()
-        loss = rehearsal.loss(network, batch, config)
-        value = loss.item()
-        if not math.isfinite(value):
-            raise ValueError(f"the loss of {kind.name} must be finite, got {value} at step {step}: lower enhance.rate")
+        loss, where = rehearsal.loss(network, batch, config), f"at step {step}: lower enhance.rate"
+        if flags is not None:
+            flags.look({f"the loss of {kind.name}": loss}, where)
+        elif not torch.isfinite(loss):
+            raise ValueError(f"the loss of {kind.name} must be finite, got {loss.item()} {where}")
         loss.backward()
         torch.nn.utils.clip_grad_norm_(network.parameters(), rehearsal.clip)
-        adam.step()
+        masked_step(adam, None if flags is None else flags.bad)
         step += 1
         if checkpoint is not None and (step == steps or time.perf_counter() - saved > SAVED):
+            if flags is not None:
+                flags.read()
             adam.zero_grad()
             state = {name: value.clone() for name, value in pack("enhancer", network, adam).items()}  # none shared
             saved = time.perf_counter()
             seconds = torch.tensor(earlier + saved - started, dtype=torch.float64)
             write_tensors(checkpoint, state | {"run": run, "step": torch.tensor(step), "seconds": seconds})
-        if progress is not None:
-            progress(step, steps + more, {"enhancer": value})
+        tell(flags, step, steps, loss.detach(), partial(report, step))
     return network.eval().requires_grad_(False), earlier
 
 

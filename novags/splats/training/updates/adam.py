@@ -28,7 +28,10 @@ class Adam:
         self.second = {name: zeros(tensor) for name, tensor in gaussians.tensors().items()}
 
     @torch.no_grad()
-    def step(self, gaussians: Gaussians, rates: LearningRates, means_rate: float, sh_degree: int = 3) -> None:
+    def step(
+        self, gaussians: Gaussians, rates: LearningRates, means_rate: float, sh_degree: int = 3,
+        good: Tensor | None = None,
+    ) -> None:  # fmt: skip
         """Update the Gaussians in place from their `.grad`; tensors without one are left alone.
 
         Args:
@@ -36,6 +39,7 @@ class Adam:
             rates: Learning rates of all but the means.
             means_rate: Learning rate of the means, world units.
             sh_degree: Spherical harmonics above it are left alone: with no gradient so far they would not move.
+            good: On a GPU: 0-d bool; where it is False nothing changes, but `count`.
 
         Raises:
             ValueError: If a tensor is not contiguous: a copy of it would be updated instead.
@@ -53,12 +57,12 @@ class Adam:
             moments = self.first[name], self.second[name]
             if name == "sh":
                 columns = torch.full((3 * min(n_coefficients(sh_degree), tensor.shape[1]),), rates.sh_rest)
-                columns[:3] = rates.sh_dc
+                columns[:3] = rates.sh_dc  # on the CPU, and brought over
                 flat = (tensor.data.flatten(1), tensor.grad.flatten(1), moments[0].flatten(1), moments[1].flatten(1))
-                self._update(*flat, columns)
+                self._update(*flat, columns, good)
             else:
                 rate = means_rate if name == "means" else float(getattr(rates, name))
-                self._update(tensor.data, tensor.grad, *moments, rate)
+                self._update(tensor.data, tensor.grad, *moments, rate, good)
 
     @staticmethod
     def numbers(count: int) -> tuple[np.float32, ...]:
@@ -66,7 +70,15 @@ class Adam:
         corrections = 1 - BETA1**count, math.sqrt(1 - BETA2**count)
         return tuple(np.float32(x) for x in (BETA1, BETA2, *corrections, EPS))
 
-    def _update(self, value: Tensor, gradient: Tensor, first: Tensor, second: Tensor, rate: float | Tensor) -> None:
+    def _update(
+        self,
+        value: Tensor,
+        gradient: Tensor,
+        first: Tensor,
+        second: Tensor,
+        rate: float | Tensor,
+        good: Tensor | None = None,
+    ) -> None:
         if value.device.type == "cpu":
             arrays = [t.contiguous().numpy() for t in (value, gradient, first, second)]
             numbers = self.numbers(self.count)
@@ -76,7 +88,7 @@ class Adam:
                 run(optimizer.adam, value.numel(), 4096, *(a.reshape(-1) for a in arrays), np.float32(rate), *numbers)
             return
         correction1, correction2 = 1 - BETA1**self.count, math.sqrt(1 - BETA2**self.count)
-        _update_torch(value, gradient, first, second, rate, correction1, correction2)
+        _update_torch(value, gradient, first, second, rate, correction1, correction2, good)
 
     def reset(self, rows: Tensor) -> None:
         """Forget the moments of some Gaussians."""
@@ -94,12 +106,17 @@ class Adam:
 
 def _update_torch(
     value: Tensor, gradient: Tensor, first: Tensor, second: Tensor, rate: float | Tensor, correction1: float,
-    correction2: float,
+    correction2: float, good: Tensor | None = None,
 ) -> None:  # fmt: skip
-    """The CPU kernel's update, on any device; a tensor of rates holds the rates of the first columns."""
+    """The CPU kernel's update, on any device; a tensor of rates holds the rates of the first columns.
+
+    Without `good`, or where it is True.
+    """
     if isinstance(rate, Tensor):
         value, gradient, first, second = (t[:, : len(rate)] for t in (value, gradient, first, second))
         rate = rate.to(value.device)
-    first.lerp_(gradient, 1 - BETA1)
-    second.mul_(BETA2).addcmul_(gradient, gradient, value=1 - BETA2)
-    value.sub_(rate / correction1 * first / (second.sqrt() / correction2 + EPS))
+    mean = first.lerp(gradient, 1 - BETA1)
+    square = (BETA2 * second).addcmul_(gradient, gradient, value=1 - BETA2)
+    moved = value - rate / correction1 * mean / (square.sqrt() / correction2 + EPS)
+    for old, new in ((first, mean), (second, square), (value, moved)):
+        old.copy_(new if good is None else torch.where(good, new, old))

@@ -62,24 +62,27 @@ def refined(viewmats: Tensor, twists: Tensor, extent: float) -> Tensor:
 
 
 @torch.no_grad()
-def move_cameras(state: CameraState, config: CameraRefinement, factor: float) -> None:
+def move_cameras(state: CameraState, config: CameraRefinement, factor: float, good: Tensor | None = None) -> None:
     """One Adam step, in place, of the cameras that had a part in the loss: cameras with a gradient.
 
     Args:
         state: Its `twists.grad` [C, 6] is used up.
         config: Rates and pull.
         factor: Of both rates; 0 leaves the cameras and their moments alone.
+        good: On a GPU: 0-d bool; where it is False nothing changes.
     """
     gradient, state.twists.grad = state.twists.grad, None
     if factor == 0 or gradient is None:
         return
     seen = (gradient != 0).any(1)
-    g = gradient[seen] + 2 * config.pull * state.twists[seen]
-    state.visits[seen] += 1
-    n = state.visits[seen, None]
-    first = torch.lerp(state.first[seen], g, 1 - BETA1)
-    second = torch.lerp(state.second[seen], g * g, 1 - BETA2)
-    state.first[seen], state.second[seen] = first, second
+    seen = (seen if good is None else seen & good)[:, None]  # a choice of rows would have a GPU waited for
+    g = gradient + 2 * config.pull * state.twists
+    state.visits += seen[:, 0]
+    n = state.visits[:, None].clamp_min(1)  # 0 / 0 for a camera that was never seen
+    first = torch.lerp(state.first, g, 1 - BETA1)
+    second = torch.lerp(state.second, g * g, 1 - BETA2)
     rates = gradient.new_tensor([config.rotation_rate] * 3 + [config.translation_rate] * 3)
     size = torch.sqrt(second / (1 - BETA2**n)) + EPS
-    state.twists[seen] -= factor * rates * first / (1 - BETA1**n) / size
+    twists = state.twists - factor * rates * first / (1 - BETA1**n) / size
+    for old, new in ((state.first, first), (state.second, second), (state.twists, twists)):
+        old.copy_(torch.where(seen, new, old))

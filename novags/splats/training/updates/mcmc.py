@@ -59,33 +59,41 @@ def _draw(weights: Tensor, count: int, generator: torch.Generator) -> Tensor:
 
 def _split(gaussians: Gaussians, sources: Tensor) -> None:
     """Shrink the drawn Gaussians in place so that they and their copies together look like before."""
-    drawn, times = torch.unique(sources, return_counts=True)
-    # float64: the sigmoid of a logit above 17 is 1 in float32
-    opacities, factors = relocation(torch.sigmoid(gaussians.logit_opacities[drawn].double()), times + 1)
+    drawn = torch.zeros_like(gaussians.logit_opacities, dtype=torch.int64)
+    copies = 1 + drawn.index_add_(0, sources, torch.ones_like(sources))[sources]
+    # A Gaussian that was drawn twice is worked on twice, from the same numbers; to ask for those that differ would have
+    # a GPU waited for. float64: the sigmoid of a logit above 17 is 1 in float32.
+    opacities, factors = relocation(torch.sigmoid(gaussians.logit_opacities[sources].double()), copies)
     # eps: an opacity of exactly 1 has an infinite logit
     opacities = opacities.clamp(DEAD_OPACITY, 1 - torch.finfo(torch.float64).eps)
-    gaussians.logit_opacities[drawn] = torch.logit(opacities).float()
+    gaussians.logit_opacities[sources] = torch.logit(opacities).float()
     # in logs: float32 cannot hold a scale below e^-103 or above e^88
-    gaussians.log_scales[drawn] += torch.log(factors).float()[:, None]
+    gaussians.log_scales[sources] = gaussians.log_scales[sources] + torch.log(factors).float()[:, None]
 
 
 @torch.no_grad()
-def relocate(gaussians: Gaussians, generator: torch.Generator) -> Tensor:
+def relocate(gaussians: Gaussians, generator: torch.Generator, dead: Tensor | None = None) -> Tensor:
     """Move dead Gaussians, in place, onto live ones drawn in proportion to opacity.
 
+    Args:
+        gaussians: Changed in place.
+        generator: Of the draws, on the CPU.
+        dead: Indices of the dead ones, in order, where they are known already.
+
     Returns:
-        Indices of the live Gaussians that were drawn; their Adam moments have to be reset. Empty if no
-        Gaussian is dead or all are.
+        Indices of the live Gaussians that were drawn, some several times; their Adam moments have to be reset. Empty if
+        no Gaussian is dead or all are.
     """
-    dead = torch.nonzero(gaussians.opacities <= DEAD_OPACITY)[:, 0]
-    alive = torch.nonzero(gaussians.opacities > DEAD_OPACITY)[:, 0]
-    if len(dead) == 0 or len(alive) == 0:
+    if dead is None:
+        dead = torch.nonzero(gaussians.opacities <= DEAD_OPACITY)[:, 0]
+    if len(dead) == 0 or len(dead) == len(gaussians):
         return dead[:0]
-    sources = alive[_draw(gaussians.opacities[alive], len(dead), generator)]
+    weights = gaussians.opacities.index_fill(0, dead, 0.0)  # which are never drawn
+    sources = _draw(weights, len(dead), generator)
     _split(gaussians, sources)
     for tensor in gaussians.tensors().values():
         tensor[dead] = tensor[sources]
-    return torch.unique(sources)
+    return sources
 
 
 @torch.no_grad()
@@ -94,7 +102,7 @@ def grow(gaussians: Gaussians, target: int, generator: torch.Generator) -> tuple
 
     Returns:
         The grown Gaussians (new rows last; the same object if there is nothing to add), and the indices that were
-        drawn.
+        drawn, some several times.
     """
     count = target - len(gaussians)
     if count <= 0 or len(gaussians) == 0:
@@ -102,7 +110,7 @@ def grow(gaussians: Gaussians, target: int, generator: torch.Generator) -> tuple
     sources = _draw(gaussians.opacities, count, generator)
     _split(gaussians, sources)
     grown = {name: torch.cat([tensor, tensor[sources]]) for name, tensor in gaussians.tensors().items()}
-    return Gaussians(**grown), torch.unique(sources)
+    return Gaussians(**grown), sources
 
 
 @torch.no_grad()
@@ -117,7 +125,10 @@ def prune_to_cap(gaussians: Gaussians, cap: int, generator: torch.Generator) -> 
 
 
 @torch.no_grad()
-def add_noise(gaussians: Gaussians, amount: float, generator: torch.Generator, *, limit: float = math.inf) -> None:
+def add_noise(
+    gaussians: Gaussians, amount: float, generator: torch.Generator, *, limit: float = math.inf,
+    good: Tensor | None = None,
+) -> None:  # fmt: skip
     """Langevin step, in place: means += Sigma xi amount sigmoid(100 (0.005 - o)), xi ~ N(0, 1).
 
     Args:
@@ -125,6 +136,7 @@ def add_noise(gaussians: Gaussians, amount: float, generator: torch.Generator, *
         amount: noise_lr times the current learning rate of the means.
         generator: Source of xi, on the CPU.
         limit: Farthest step along an axis of a Gaussian, world units; longer ones end there.
+        good: On a GPU: 0-d bool; where it is False nothing changes.
     """
     g = gaussians
     if g.means.device.type == "cpu":
@@ -132,12 +144,15 @@ def add_noise(gaussians: Gaussians, amount: float, generator: torch.Generator, *
         arrays = (t.numpy() for t in (g.means, g.quats, g.log_scales, g.logit_opacities))
         run(noise.add, len(g), 1024, *arrays, np.float32(amount), np.float32(limit), key)
     else:
-        _add_noise_torch(g, amount, generator, limit)
+        _add_noise_torch(g, amount, generator, limit, good)
 
 
-def _add_noise_torch(g: Gaussians, amount: float, generator: torch.Generator, limit: float = math.inf) -> None:
+def _add_noise_torch(
+    g: Gaussians, amount: float, generator: torch.Generator, limit: float = math.inf, good: Tensor | None = None
+) -> None:
     xi = torch.randn(len(g), 3, generator=generator).to(g.means.device)
     xi *= amount * torch.sigmoid(100 * (DEAD_OPACITY - g.opacities))[:, None]
     R = quat_to_rotmat(g.quats)
     local = ((R.mT @ xi[..., None])[..., 0] * torch.exp(2 * g.log_scales)).clamp(-limit, limit)
-    g.means += (R @ local[..., None])[..., 0]
+    step = (R @ local[..., None])[..., 0]
+    g.means += step if good is None else torch.where(good, step, 0.0)

@@ -124,7 +124,7 @@ def test_gradients_are_those_of_autograd(problem, name, moving):
                 state, views, 25, config, 2.0, with_depth=True, extra_losses=losses,
                 photometric=lambda step: default_photometric(config.dssim_weight, step, images[1]),
             )  # fmt: skip
-            values.append(value)
+            values.append([float(x) for x in value])
             state.adam.step(state.gaussians, config.rates, 1e-4, 3)
         found = {name: 10 * moment for name, moment in state.adam.first.items()}
         if state.cameras is not None:

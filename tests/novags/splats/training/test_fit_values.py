@@ -224,8 +224,8 @@ def test_relocation_comes_before_growth_and_noise_with_streams_of_their_own(monk
 
         def wrapped(gaussians: Gaussians, *rest: Any, **options: Any) -> Any:
             number = len(gaussians) if name == "relocate" else rest[0]
-            calls.append((name, number, rest[-1].initial_seed()))
-            limits.extend(options.values())
+            calls.append((name, number, next(x for x in rest if isinstance(x, torch.Generator)).initial_seed()))
+            limits.extend(x for key, x in options.items() if key == "limit")
             return original(gaussians, *rest, **options)
 
         monkeypatch.setattr(MODULE, name, wrapped)
@@ -275,7 +275,7 @@ def test_refinement_forgets_the_moments_of_the_drawn_and_of_them_alone():
 def test_noise_of_a_scene_in_small_units_is_that_of_the_scene_in_usual_ones(monkeypatch):
     """In units 10 times smaller the rate is 10 times larger, covariances 100 times; steps are to be 10 times longer."""
     start, given = scene()[0], []
-    monkeypatch.setattr(MODULE, "add_noise", lambda g, amount, stream, *, limit: given.append((amount, limit)))
+    monkeypatch.setattr(MODULE, "add_noise", lambda g, amount, stream, *, limit, good: given.append((amount, limit)))
     for extent in (2.0, 20.0):
         config = one(extent=extent, mcmc=McmcConfig(noise_lr=5e5))
         MODULE._mcmc_step(start, Adam(start), 1, config, N, 1e-4 * extent, extent)
