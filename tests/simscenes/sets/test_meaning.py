@@ -245,3 +245,10 @@ def test_gray_pictures_are_not_taken_for_mosaics() -> None:
     several = [gray, RNG.poisson(gray / 100), RNG.integers(0, 255, (96, 128)), np.kron(gray, np.ones((2, 2))), rows,
                (gray > 1500) * 3000, np.full((96, 128), 7), np.zeros((8, 8))]  # fmt: skip
     assert not any(is_mosaic(np.asarray(picture)) for picture in several)
+
+
+@pytest.mark.parametrize(("share", "found"), [(0.005, False), (0.1, True)])
+def test_columns_of_one_camera_that_differ_by_half_a_percent_are_no_mosaic(share: float, found: bool) -> None:
+    """Light from 1000 to 3000 without noise: the pattern is sure, and is none of colour filters."""
+    gray = np.linspace(1000.0, 3000.0, 128)[:, None] * (1 + share * (np.arange(160) % 2))
+    assert is_mosaic(gray) is found

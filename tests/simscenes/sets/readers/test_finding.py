@@ -67,6 +67,11 @@ def test_pictures_in_another_folder_are_not_taken_and_are_said(tmp_path: Path) -
     ]
 
 
+def test_a_missing_picture_is_looked_for_elsewhere_though_the_first_is_there(tmp_path: Path) -> None:
+    folder, listed = touched(tmp_path, "a.png", "raw/b.png"), ["a.png", "b.png", "c.png"]
+    assert spelt(folder, listed, find_files(folder, listed)) == ["a.png", "b.png (raw/b.png is there)", "c.png"]
+
+
 def test_a_few_names_are_shown_on_one_line() -> None:
     assert some(["a", "b", "c"]) == "a, b, c"
     assert some(["a\nb", "c", "d", "e"]) == "'a\\nb', c, d, ..."
