@@ -115,6 +115,11 @@ def test_pictures_behind_the_first_one_are_refused_unless_they_are_smaller(tmp_p
     for name in ("b.jpg", "c.webp"):
         with pytest.raises(ValueError, match=rf"{name} holds 2 pictures, of which only the first is read"):
             read_rgb(tmp_path / name)
+    first.save(tmp_path / "e.jpg", "MPO", save_all=True, append_images=[small, first, small])
+    whole = (tmp_path / "e.jpg").read_bytes()
+    (tmp_path / "e.jpg").write_bytes(whole[: whole.rindex(b"\xff\xd8\xff")])  # without the last one
+    with pytest.raises(ValueError, match=r"e\.jpg holds 4 pictures, of which only the first is read"):
+        read_rgb(tmp_path / "e.jpg")
     first.convert("CMYK").save(tmp_path / "d.jpg")
     with pytest.raises(ValueError, match=r"d\.jpg is a picture in CMYK"):
         read_rgb(tmp_path / "d.jpg")
