@@ -14,7 +14,7 @@ def as_float32(scene):
 
 
 @pytest.mark.parametrize("channels", [3, 9])  # composited at once, and in three passes
-def test_gradients_of_the_centres_are_the_reference_s(make_scene, channels):
+def test_gradients_of_the_centres_equal_the_reference(make_scene, channels):
     scene = make_scene(41, 60, 37, 21)
     g = torch.Generator().manual_seed(0)
     scene["colors"] = torch.rand(60, channels, generator=g, dtype=torch.float64)
