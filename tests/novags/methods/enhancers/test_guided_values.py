@@ -68,8 +68,8 @@ def test_epsilon_is_the_estimated_variance_of_each_image(monkeypatch, kind, esti
 def test_epsilon_by_the_camera_is_of_each_image():
     dark = torch.from_numpy(np.stack([textured(level=0.1), textured(level=0.3)]))
     config = EnhanceConfig(window=5, noise_estimator="camera")
-    _, both = enhance(dark, config, noise=lambda light: 1e-4 + 0.01 * light)  # type: ignore[arg-type]
-    alone = [enhance(image, config, noise=lambda light: 1e-4 + 0.01 * light)[1] for image in dark]  # type: ignore[arg-type]
+    _, both = enhance(dark, config, noise=lambda light: 1e-4 + 0.01 * light)
+    alone = [enhance(image, config, noise=lambda light: 1e-4 + 0.01 * light)[1] for image in dark]
     assert both.epsilon.tolist() == [float(each.epsilon) for each in alone]
     assert both.epsilon[0] != both.epsilon[1]
 
