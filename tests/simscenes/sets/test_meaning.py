@@ -257,3 +257,9 @@ def test_columns_of_one_camera_that_differ_by_half_a_percent_are_no_mosaic(share
     """Light from 1000 to 3000 without noise: the pattern is sure, and is none of colour filters."""
     gray = np.linspace(1000.0, 3000.0, 128)[:, None] * (1 + share * (np.arange(160) % 2))
     assert is_mosaic(gray) is found
+
+
+def test_one_mosaic_among_several_pictures_is_none_of_all() -> None:
+    mosaic, gray = mosaic_of(textured(), 0.0, 4000), textured()[..., 1] * 4000
+    assert is_mosaic(mosaic)
+    assert not is_mosaic(mosaic, gray, gray)

@@ -33,6 +33,8 @@ def test_case_is_overlooked_where_one_file_is_left_that_nobody_else_lists(tmp_pa
     assert find_files(folder, listed) == [
         folder / "Images/A.png", folder / "images/B.PNG", None, None, folder / "images/d.png", None
     ]  # fmt: skip
+    touched(tmp_path, "Images/Other/e.png", "images/Sub/e.png")
+    assert find_file(folder, "IMAGES/SUB/e.png") == folder / "images/Sub/e.png"
     assert find_file(folder / "images", "../iMAGES/a.png") == folder / "images/../Images/A.png"
     assert find_file(folder, "images/straße.png") is None
 
