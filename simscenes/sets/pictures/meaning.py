@@ -6,6 +6,7 @@ that can be done, and refused by name where it cannot. Colours of other primarie
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal
 
@@ -113,14 +114,11 @@ def _several(image: Any) -> str:
         return ""
     if image.format == "MPO":
         size, others = image.size, []
-        try:
+        with suppress(EOFError, OSError, ValueError, SyntaxError):  # cut short behind the first picture, which is whole
             for number in range(1, count):
                 image.seek(number)
                 others.append(image.size)
-        except (EOFError, OSError, ValueError, SyntaxError):  # cut short behind the first picture, which is whole
-            others = [s for s in others if s]
-        finally:
-            image.seek(0)
+        image.seek(0)
         if not any(w >= size[0] and h >= size[1] for w, h in others):
             return ""
     return f"holds {count} pictures, of which only the first is read: save each as a file of its own"

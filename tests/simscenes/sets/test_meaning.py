@@ -115,6 +115,11 @@ def test_pictures_behind_the_first_one_are_refused_unless_they_are_smaller(tmp_p
     for name in ("b.jpg", "c.webp"):
         with pytest.raises(ValueError, match=rf"{name} holds 2 pictures, of which only the first is read"):
             read_rgb(tmp_path / name)
+    first.save(tmp_path / "e.jpg", "MPO", save_all=True, append_images=[small, first, small])
+    whole = (tmp_path / "e.jpg").read_bytes()
+    (tmp_path / "e.jpg").write_bytes(whole[: whole.rindex(b"\xff\xd8\xff")])  # without the last one
+    with pytest.raises(ValueError, match=r"e\.jpg holds 4 pictures, of which only the first is read"):
+        read_rgb(tmp_path / "e.jpg")
     first.convert("CMYK").save(tmp_path / "d.jpg")
     with pytest.raises(ValueError, match=r"d\.jpg is a picture in CMYK"):
         read_rgb(tmp_path / "d.jpg")
@@ -245,3 +250,16 @@ def test_gray_pictures_are_not_taken_for_mosaics() -> None:
     several = [gray, RNG.poisson(gray / 100), RNG.integers(0, 255, (96, 128)), np.kron(gray, np.ones((2, 2))), rows,
                (gray > 1500) * 3000, np.full((96, 128), 7), np.zeros((8, 8))]  # fmt: skip
     assert not any(is_mosaic(np.asarray(picture)) for picture in several)
+
+
+@pytest.mark.parametrize(("share", "found"), [(0.005, False), (0.1, True)])
+def test_columns_of_one_camera_that_differ_by_half_a_percent_are_no_mosaic(share: float, found: bool) -> None:
+    """Light from 1000 to 3000 without noise: the pattern is sure, and is none of colour filters."""
+    gray = np.linspace(1000.0, 3000.0, 128)[:, None] * (1 + share * (np.arange(160) % 2))
+    assert is_mosaic(gray) is found
+
+
+def test_one_mosaic_among_several_pictures_is_none_of_all() -> None:
+    mosaic, gray = mosaic_of(textured(), 0.0, 4000), textured()[..., 1] * 4000
+    assert is_mosaic(mosaic)
+    assert not is_mosaic(mosaic, gray, gray)

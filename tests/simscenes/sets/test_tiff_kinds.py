@@ -12,7 +12,7 @@ import tifffile
 
 from sensor_model.isp import to_srgb8
 from simscenes.sets.pictures.image_file import header, image_size, read_image, read_rgb
-from simscenes.sets.pictures.tiff import BITS, TAGS, tiff_tags
+from simscenes.sets.pictures.tiff import BITS, TAGS, like_pages, tiff_tags
 from tests.tiffs import write_tiff
 
 STORED = cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH
@@ -125,6 +125,13 @@ def pages(file: Path, *pictures: tuple[np.ndarray, int]) -> Path:
             form = "rgb" if pixels.ndim == 3 else "minisblack"
             target.write(pixels, photometric=form, subfiletype=kind, metadata=None)
     return file
+
+
+def test_pages_are_alike_if_all_of_them_have_one_size_and_one_depth(tmp_path: Path) -> None:
+    page = codes(16, 1)
+    assert like_pages(pages(tmp_path / "a.tif", (page, 0), (page, 0), (page, 0))) == 3
+    for last in (page[:-1], codes(8, 1), codes(16, 3)):
+        assert like_pages(pages(tmp_path / "b.tif", (page, 0), (page, 0), (last, 0))) == 0
 
 
 @pytest.mark.parametrize("bits", [8, 16])

@@ -286,7 +286,7 @@ REFUSED = [
     ),
     ("materials/0/extensions", {"KHR_materials_specular": {"specularFactor": 0.5}}, "KHR_materials_specular"),
     ("materials/0/alphaMode", "GLASS", "alphaMode must be one of"),
-    ("materials/0/pbrMetallicRoughness/baseColorFactor", [2, 0, 0, 1], r"baseColorFactor must be 4 numbers in 0\.\.1"),
+    ("materials/0/pbrMetallicRoughness/baseColorFactor", [0, 0, 2, 1], r"baseColorFactor must be 4 numbers in 0\.\.1"),
     ("materials/0/pbrMetallicRoughness/roughnessFactor", 1.5, r"roughnessFactor must lie in 0\.\.1, got 1.5"),
     ("extensionsRequired", ["KHR_draco_mesh_compression"], "requires the extension 'KHR_draco_mesh_compression'"),
     ("cameraRig", {"a": 1}, "t.glb sets 'cameraRig'"),
