@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from novags.cameras.doubts import camera_doubts, few_views, lens_doubts
+from novags.cameras.doubts import camera_doubts, few_views, lens_doubts, same_photographs
 from novags.numbers import SSIM_WINDOW
 from novags.testbed.console.terminal import Console, warnings_as_notes
 from novags.testbed.folders.exchanged import refuse_exchanged
@@ -238,10 +238,12 @@ def source_of(views: MultiviewSet, console: Console, max_size: int | None = None
         name, file = next(iter(views.renamed.items()))
         console.warn(f"{len(views.renamed)} of {len(views)} files and their views cannot have one name ({file!r}: view "
                      f"{name}); the capture.json of a capture of it names the file of each")  # fmt: skip
-    if views.kind == "photographs" and not views.meta:  # our own were looked at when their cameras were found
+    own = any((path / name).is_file() for name in ("set.json", "capture.json"))
+    if views.kind == "photographs" and not own:  # our own were looked at when their cameras were found
         focals = views.rig.Ks[:, 0, 0] / max(views.rig.width, views.rig.height)
         taken = views.rig.Ks if views.lenses is None else np.stack([lens.K for lens in views.lenses])
         doubts = [*few_views(len(views)), *lens_doubts(taken, (views.rig.width, views.rig.height))]
+        doubts += same_photographs(views.files)
         held = views.points() if views.model() is not None else None
         tracked = held is not None and len(held.view) > 0  # points without tracks were not what the cameras came from
         points = held.xyz if held is not None and tracked else None

@@ -14,6 +14,7 @@ from novags.testbed.folders import capture as capture_folder
 from novags.testbed.folders.capture import has_view, write_view
 from novags.testbed.folders.place import keep_place, recorded_place
 from novags.testbed.folders.set import Source, open_source
+from novags.testbed.importing.exposures import exposure_doubts
 from novags.testbed.ledger.stage import run_stage
 from novags.testbed.stages.configs.capturing import CaptureConfig
 from novags.testbed.stages.layouts import LAYOUTS, check_source_of, truth_of, write_layouts
@@ -66,6 +67,9 @@ def capture(
     keep_apart(out, set_path)
     source = open_source(set_path, console, config.max_size)
     check_source_of(config.export, source)
+    if source.views.kind == "photographs":
+        for doubt in exposure_doubts(source.views.files):
+            console.warn(f"{set_path}: {doubt}")
     if min(source.rig.width, source.rig.height) < SMALLEST:
         said = (
             f"images of {source.rig.width} x {source.rig.height} px make raw files that LibRaw refuses: it takes "

@@ -9,10 +9,15 @@ import pytest
 
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders.set import open_source
+from sensor_model import PRESETS, Exposure, write_dng
+from simscenes import orbit_rig
 from simscenes.sets.geometry.tracks import SparsePoints
 from simscenes.sets.pictures.png import write_png
 from simscenes.sets.writers.camera_files import write_cameras
 from tests.miniatures import HEIGHT, RIG, VIEWS, WIDTH, lit_picture
+
+CAMERA = PRESETS["imx900-hcg"]
+NAMES_OF_RAW = ("0", "1", "2")
 
 
 def model(folder: Path, points: SparsePoints | None) -> Path:
@@ -50,3 +55,19 @@ def test_few_points_are_said_where_cameras_came_from_them(
     source = open_source(model(tmp_path / "set", points), Console(stream=stream))
     assert source.views.model() is not None
     assert ("few points hold the cameras together" in stream.getvalue()) == doubted
+
+
+def test_cameras_of_raw_files_are_doubted_as_those_of_pictures_are(tmp_path: Path) -> None:
+    stream = io.StringIO()
+    write_cameras(tmp_path, NAMES_OF_RAW, orbit_rig(3, 64, 48, 50.0, radius=3.0))
+    content = (tmp_path / "transforms.json").read_text()
+    for name in NAMES_OF_RAW:
+        codes = np.random.default_rng(0).integers(200, 900, (48, 64)).astype(np.uint16)
+        write_dng(tmp_path / "raw" / f"{name}.dng", codes, CAMERA, Exposure(time=0.01))
+        content = content.replace(f"images/{name}.png", f"raw/{name}.dng")
+    (tmp_path / "transforms.json").write_text(content)
+    (tmp_path / "nb-info.json").unlink(missing_ok=True)
+    open_source(tmp_path, Console(stream=stream))
+    assert "only 3 photographs have a camera" in stream.getvalue()
+    assert "3.dng" not in stream.getvalue()
+    assert "2 of 3 photographs are copies of another one (1.dng and 0.dng, 2.dng and 0.dng)" in stream.getvalue()
