@@ -264,7 +264,7 @@ def say_stated(file: Path, folder: Path, console: Console) -> None:
     """Say which statements of a photograph are passed over: colours of other primaries, steps of development."""
     if not is_raw(file) and file.suffix.lower() != ".exr":
         with header(file) as image:
-            if other_primaries(image):
+            if other_primaries(file, image):
                 console.warn(f"pictures of {folder} state colours of other primaries than those of sRGB (Display P3, "
                              "say): they are taken as sRGB's, which changes saturated colours a little")  # fmt: skip
     if is_raw(file) and (steps := skipped_steps(file)):
