@@ -67,9 +67,6 @@ def capture(
     keep_apart(out, set_path)
     source = open_source(set_path, console, config.max_size)
     check_source_of(config.export, source)
-    if source.views.kind == "photographs":
-        for doubt in exposure_doubts(source.views.files):
-            console.warn(f"{set_path}: {doubt}")
     if min(source.rig.width, source.rig.height) < SMALLEST:
         said = (
             f"images of {source.rig.width} x {source.rig.height} px make raw files that LibRaw refuses: it takes "
@@ -88,7 +85,7 @@ def capture(
             inputs=lambda: {"set": source.digest()},
             config=config.resolved(),
             owns=(*capture_folder.OWNS, *LAYOUTS),
-            prepare=lambda: meter(source, config, console),
+            prepare=lambda: look_and_meter(source, config, console),
             work=lambda light: capture_views(source, light, out, config, console),
             console=console,
             stale=stale,
@@ -111,6 +108,14 @@ class Light:
     mean_green: float  # radiance over the set
     signal_e: np.ndarray  # `QUANTILES` of the charge in the sensor's channels, e-
     plan: Plan | None  # which effects to simulate; None: all of them
+
+
+def look_and_meter(source: Source, config: CaptureConfig, console: Console) -> Light:
+    """The result of `meter`, after doubts about photographs were said."""
+    if source.views.kind == "photographs":
+        for doubt in [*exposure_doubts(source.views.files), *source.picture_doubts()]:
+            console.warn(f"{source.views.path}: {doubt}")
+    return meter(source, config, console)
 
 
 def meter(source: Source, config: CaptureConfig, console: Console, pixels: int | None = None) -> Light:
