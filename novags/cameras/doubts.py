@@ -116,7 +116,16 @@ def same_photographs(files: Sequence[Path]) -> list[str]:
     for file in files:
         if sizes[file.stat().st_size] > 1:
             other = first.setdefault(hashlib.sha256(read_bytes(file)).digest(), file)
-            pairs += [] if other is file else [f"{file.name} and {other.name}"]
+            pairs += (
+                []
+                if other is file
+                else [
+                    " and ".join(
+                        one.name if file.name != other.name else f"{one.parent.name}/{one.name}"
+                        for one in (file, other)
+                    )
+                ]
+            )
     return [] if not pairs else [
         f"{len(pairs)} of {len(files)} photographs are copies of another one ({some(pairs)}): what is held out of one "
         "name may be trained on under the other; remove the copies"

@@ -107,6 +107,10 @@ def test_copies_of_a_photograph_are_said_by_name(tmp_path) -> None:
     files[3].write_bytes(files[1].read_bytes())
     (note,) = same_photographs(files)
     assert note.startswith("1 of 4 photographs are copies of another one (3.jpg and 1.jpg)")
+    (tmp_path / "test").mkdir()
+    (tmp_path / "test" / "2.jpg").write_bytes(files[2].read_bytes())
+    (note,) = same_photographs([files[2], tmp_path / "test" / "2.jpg"])
+    assert f"(test/2.jpg and {tmp_path.name}/2.jpg)" in note
 
 
 @pytest.mark.parametrize("known", [True, False])
