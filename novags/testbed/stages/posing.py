@@ -14,7 +14,7 @@ from novags.cameras.motion.registration import PLACED, Observed, Registered, Sho
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders.photographs.raw_files import SUFFIXES as RAW
 from novags.testbed.folders.photographs.video import is_video, write_frames
-from novags.testbed.folders.set import left_out
+from novags.testbed.folders.set import left_out, say_stated
 from novags.testbed.importing.exposures import exposure_doubts
 from novags.testbed.ledger.contents import folder_digest
 from novags.testbed.ledger.stage import run_stage
@@ -49,6 +49,8 @@ def poses(
                      f"{some(masks)}; all pixels of a photograph count")  # fmt: skip
     if config.photographs.is_dir():
         keep_apart(out, config.photographs)
+        for file in files.values():
+            say_stated(file, config.photographs, console)
     record = run_stage(
         "poses",
         out,
