@@ -154,6 +154,23 @@ def test_pages_are_refused_and_smaller_copies_left_out(bits: int, tmp_path: Path
         image_size(pages(tmp_path / "a.tif", (small, 1), (whole, 0)))
 
 
+@pytest.mark.parametrize("big", [False, True])
+def test_a_picture_below_the_first_one_is_refused_unless_it_is_smaller(big: bool, tmp_path: Path) -> None:
+    """Rationale: some cameras keep a preview first, and the picture itself below it; layers of editors lie so, too."""
+    whole, small = codes(8, 3), codes(8, 3)[::4, ::4].copy()
+    for first, below, refused in ((small, whole, True), (whole, whole, True), (whole, small, False)):
+        with tifffile.TiffWriter(tmp_path / "a.tif", bigtiff=big) as target:
+            target.write(first, photometric="rgb", subifds=1, metadata=None)
+            target.write(below, photometric="rgb", metadata=None)
+        if refused:
+            with pytest.raises(
+                ValueError, match=r"a\.tif is a TIFF of several pages, .*: save each as a file of its own"
+            ):
+                image_size(tmp_path / "a.tif")
+        else:
+            assert np.array_equal(read_rgb(tmp_path / "a.tif"), whole)
+
+
 def test_a_directory_that_names_itself_as_the_next_one_is_one_picture(tmp_path: Path) -> None:
     file = write_tiff(tmp_path / "a.tif", np.ones((3, 5, 3), np.uint8))
     content = bytearray(file.read_bytes())
