@@ -9,7 +9,7 @@ import torch
 from novags.methods.enhanced.config import ORIGINAL_FIT, ORIGINAL_SCALE, EnhancedFitConfig
 from novags.methods.enhanced.gaussian_fit import fit_for
 from novags.methods.gaussian_scene import GaussianScene
-from novags.methods.problem import Problem, RawPictures
+from novags.methods.problem import Problem, RawPictures, stacked
 from novags.methods.reconstruction import Reconstruction
 from novags.methods.start import brightened, start_gaussians
 from novags.splats import FitConfig, Gaussians, Views, rasterize
@@ -154,3 +154,16 @@ def test_first_gaussians_have_the_size_degree_and_colours_asked_for():
     for name, tensor in found.tensors().items():
         assert not tensor.requires_grad
         assert torch.equal(tensor, expected.tensors()[name])
+
+
+def test_pictures_are_stacked_in_the_order_asked_for_each_read_once():
+    pictures, read = np.arange(4 * 2 * 3, dtype=np.uint16).reshape(4, 2, 3), []
+
+    def reader(i: int) -> np.ndarray:
+        read.append(i)
+        return pictures[i]
+
+    found = stacked(reader, [3, 0, 2])
+    assert found.dtype == torch.float32
+    assert np.array_equal(found.numpy(), pictures[[3, 0, 2]])
+    assert read == [3, 0, 2]

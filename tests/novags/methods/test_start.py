@@ -31,3 +31,9 @@ def test_gaussians_start_at_the_points_in_the_targets_colours():
     rgb = 0.5 + 0.28209479177387814 * gaussians.sh[:, 0]
     # Colours fall into 8-bit codes, four times as wide in the targets.
     assert (rgb - 4 * init.colors).abs().max() <= 4 / 255
+
+
+def test_a_code_takes_its_mean_over_all_views():
+    dark, targets = torch.full((2, 2, 2, 3), 0.2), torch.full((2, 2, 2, 3), 0.4)
+    targets[1] = 0.8
+    torch.testing.assert_close(brightened(torch.full((1, 3), 0.2), dark, targets), torch.full((1, 3), 0.6))
