@@ -8,6 +8,10 @@
     python scripts/bench_splats.py fit     --out DIR    7,000 iterations, 256 x 256, 28 views, 50,000 Gaussians, with
                                                         the time of each part; --capture CAP: the oracle's images
 
+    python scripts/bench_splats.py peer    --out DIR --capture CAP --opensplat BUILD
+                                                        whole iterations beside OpenSplat's CPU path, built by the
+                                                        user (-DGPU_RUNTIME=CPU, with its simple trainer), in one run
+
 What the engine's approximations cost in accuracy and time: `novags pareto splats`.
 Every measurement runs in a process of its own, so that peak memory is its own. Times are the best of several repeats.
 """
@@ -76,7 +80,10 @@ def measure_grid(n: int, size: int, repeat: int, backend: str = "numba") -> dict
     return {**times, "iteration": min(steps), "peak_mb": peak_mb()}
 
 
-def measure_common(n: int, size: int, repeat: int, backend: str = "numba", strip: int | None = None) -> dict[str, Any]:
+def measure_common(
+    n: int, size: int, repeat: int, backend: str = "numba", strip: int | None = None,
+    clock: Callable[[], float] = time.perf_counter,
+) -> dict[str, Any]:  # fmt: skip
     """Fit a two-colour image: render, MSE, backward, Adam on everything.
 
     The readable reference keeps every pixel times Gaussian for its gradient; it gets `strip` image rows at a time.
@@ -108,23 +115,23 @@ def measure_common(n: int, size: int, repeat: int, backend: str = "numba", strip
             tensor.grad = None
 
     def once() -> None:
-        clock = {"forward": 0.0, "backward": 0.0}
-        began, rows = time.perf_counter(), strip or size
+        spent = {"forward": 0.0, "backward": 0.0}
+        began, rows = clock(), strip or size
         for top in range(0, size, rows):
-            start = time.perf_counter()
+            start = clock()
             scene["Ks"][:, 1, 2] = size / 2 - top
             image, _, _ = rasterize(
                 trained["means"], trained["quats"], trained["scales"].abs(), torch.sigmoid(trained["opacities"]),
                 torch.sigmoid(trained["colors"]), scene["viewmats"], scene["Ks"], size, rows, backend=backend,
             )  # fmt: skip
             loss = torch.nn.functional.mse_loss(image[0], target[top : top + rows]) * (rows / size)
-            middle = time.perf_counter()
+            middle = clock()
             loss.backward()
-            clock["forward"] += middle - start
-            clock["backward"] += time.perf_counter() - middle
+            spent["forward"] += middle - start
+            spent["backward"] += clock() - middle
         step()
-        clock["iteration"] = time.perf_counter() - began
-        times.update({name: min(times[name], value) for name, value in clock.items()})
+        spent["iteration"] = clock() - began
+        times.update({name: min(times[name], value) for name, value in spent.items()})
 
     best(once, repeat)
     return {**times, "peak_mb": peak_mb()}
@@ -222,6 +229,19 @@ def run_loss(out: Path, repeat: int) -> None:
     (out / "loss.json").write_text(json.dumps(rows, indent=1))
 
 
+def measure_peer(capture: str, build: str, n: int, repeat: int) -> dict[str, Any]:
+    """The demo's workload, and the two of OpenSplat's own `simple_trainer`."""
+    from splats_bench import fit, peer
+
+    torch.set_num_threads(1)
+    problem = fit.oracle_problem(Path(capture), n)
+    rows = [peer.measure_peer(Path(build) / "opensplat", problem, 1, 3)]
+    for count in (10_000, 100_000):
+        ours = measure_common(count, 256, repeat, clock=time.process_time)["iteration"]
+        rows.append(peer.measure_trainer(Path(build) / "simple_trainer", count, 256, ours))
+    return {"rows": rows, "peak_mb": peak_mb()}
+
+
 def measure_memory() -> dict[str, Any]:
     """All that one forward and backward pass allocates, split by least squares over scenes of different make-up."""
     import numpy as np
@@ -276,7 +296,7 @@ def run_one(out: Path, what: str, **arguments: Any) -> None:
 def main() -> None:
     """Parse and run."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("part", choices=["grid", "common", "memory", "loss", "fit", "child"])
+    parser.add_argument("part", choices=["grid", "common", "memory", "loss", "peer", "fit", "child"])
     parser.add_argument("arguments", nargs="?", help=argparse.SUPPRESS)
     parser.add_argument("--out", type=Path, default=Path("bench_splats"))
     parser.add_argument("--repeat", type=int, default=15)
@@ -291,6 +311,7 @@ def main() -> None:
     for name, key, default in fit:
         parser.add_argument(f"--{name}", dest=key, type=int, default=default, help="of the fit")
     parser.add_argument("--capture", default=None, help="capture folder whose noise-free exposures the fit aims at")
+    parser.add_argument("--opensplat", default=None, help="folder of its programs")
     parser.add_argument("--device", default="cpu", help="of the fit; cuda takes gsplat")
     options = parser.parse_args()
     if options.threads is not None:
@@ -308,6 +329,9 @@ def main() -> None:
         run_loss(options.out, options.repeat)
     elif options.part == "memory":
         run_one(options.out, "memory")
+    elif options.part == "peer":
+        arguments = {"capture": options.capture, "build": options.opensplat, "n": options.n, "repeat": options.repeat}
+        run_one(options.out, "peer", **arguments)
     else:
         keys = [key for _, key, _ in fit] + ["capture", "device"]
         run_one(options.out, "fit", **{key: getattr(options, key) for key in keys})

@@ -49,8 +49,8 @@ GROUPS = (
     (("novags/methods/nova/[!t]*.py",), ("tests/novags/methods/nova/test_[!t]*.py",)),
     (("novags/methods/nova/trainer.py", "novags/methods/enhancers/__init__.py", "novags/methods/enhanced/*.py",
       "novags/methods/*.py"),
-     ("tests/novags/methods/test_*.py", "tests/novags/methods/enhancers/test_r*.py",
-      "tests/novags/methods/nova/test_trainer*.py")),
+     ("tests/novags/methods/test_*.py", "tests/novags/methods/enhanced/test_*.py",
+      "tests/novags/methods/enhancers/test_r*.py", "tests/novags/methods/nova/test_trainer*.py")),
     (tuple(f"novags/splats/training/{what}.py"
            for what in ("losses", "updates/mcmc", "fit", "iteration", "config", "direct")),
      tuple(f"tests/novags/splats/training/test_{what}.py" for what in ("losses", "mcmc", "fit*", "direct"))),

@@ -94,9 +94,10 @@ def without(pattern: str, text: str, instead: str = "") -> str:
 
 
 def of_page(text: str) -> Iterator[Sentence]:
-    """The sentences of a page in Markdown, without its headings and blocks of code."""
+    """The sentences of a page in Markdown, without its headings and its code."""
     text = without(r"^ *```.*?^ *```$", text, "\x00")
     text = without(r"(?<=\n\n) {4}(?! *[-*\d]).*?(?=\n\n|\Z)", text, "\x00")
+    text = without(r"`[^`\n]+`", text, FIELD)
     text = without(r"<!--.*?-->", without(r"(?<=\])\([^)]*\)", text), "\x00")
     yield from sentences(without(r"^#+ .*?$", text, "\x00"), 1)
 
@@ -154,6 +155,7 @@ GOOD = "the rest of its error is the error of two samples; it says what it does"
         (".py", "\ndef f(x):\n    raise ValueError(f'{x}: %s')\n"),
         (".py", "\n# above.\n# %s\n"),
         (".md", "# Page\n\n%s\n\n```python\nthat of those that\n```\n"),
+        (".md", "`what` becomes `that of` what.\n\n%s\n"),
         (".txt", "\n\n- %s\n"),
         (".html", "<p>{{ a }}</p>\n\n<p>%s</p>"),
         (".html", '<p>{{ a }}</p>\n\n<p title="%s"></p>'),

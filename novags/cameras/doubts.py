@@ -6,11 +6,15 @@ A wrong camera spoils all views, and a fit takes long to show that. The bounds w
 
 from __future__ import annotations
 
+import hashlib
+from collections import Counter
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sensor_model.files.door import read_bytes
 from sensor_model.files.reading import some
 from simscenes.rigs import invert_rigid
 
@@ -29,6 +33,7 @@ ONE_PLACE = 0.02  # largest distance between cameras over their distance from th
 LARGE_ERROR = 2.0  # px of reprojection
 SQUEEZED = 1.15  # ratio of the focal lengths along x and y, either way: pixels are square
 FOCALS = (0.1, 10.0)  # over the longest side: beyond them COLMAP, too, holds a camera for wrong
+MIDDLE = (0.25, 0.75)  # of a side: no lens is mounted so that its axis leaves this part, and a crop is rarely so much
 
 
 def camera_doubts(
@@ -57,7 +62,7 @@ def camera_doubts(
                      f"median photograph, of at least {LEAST_POINTS} and {LEAST_SEEN}: cameras may be wrong; take "
                      "photographs with more overlap, sharp, with texture and little noise")  # fmt: skip
     spread = np.linalg.norm(centres[:, None] - centres[None], axis=-1).max() if len(centres) < 1000 else np.inf
-    if len(labels) > 1 and spread < ONE_PLACE * np.median(distance):
+    if len(labels) > 1 and spread <= ONE_PLACE * np.median(distance):
         found.append("all photographs are taken from one place, as if the camera only turned: they show no depth; walk "
                      "around the scene")  # fmt: skip
     return found
@@ -82,6 +87,12 @@ def lens_doubts(Ks: Array, size: tuple[int, int]) -> list[str]:
         found.append(f"{len(odd)} of {len(Ks)} cameras have a focal length of {odd.min():.3g} to {odd.max():.3g} times "
                      f"the longer side of the picture, usual is {FOCALS[0]:g} to {FOCALS[1]:g}: a wrong calibration, "
                      "or one of pictures of another size")  # fmt: skip
+    centres = Ks[:, :2, 2] / size
+    if len(outside := centres[((centres < MIDDLE[0]) | (centres > MIDDLE[1])).any(1)]):
+        x, y = outside[0]
+        found.append(f"{len(outside)} of {len(Ks)} cameras have their principal point beside the middle half of the "
+                     f"picture, the first at {x:.2g} of its width and {y:.2g} of its height: cx and cy are probably "
+                     "not in px from the corner, or of pictures before a crop")  # fmt: skip
     return found
 
 
@@ -90,6 +101,34 @@ def few_views(count: int) -> list[str]:
     return [] if count >= LEAST_VIEWS else [
         f"only {count} photographs have a camera, at least {LEAST_VIEWS} are of use: what lies between so few views is "
         "anybody's guess, and a score rests on one of them; take more"
+    ]  # fmt: skip
+
+
+def same_photographs(files: Sequence[Path]) -> list[str]:
+    """A doubt where files of several names hold the same bytes.
+
+    Raises:
+        OSError: If one cannot be read.
+    """
+    sizes = Counter(file.stat().st_size for file in files)
+    first: dict[bytes, Path] = {}
+    pairs = []
+    for file in files:
+        if sizes[file.stat().st_size] > 1:
+            other = first.setdefault(hashlib.sha256(read_bytes(file)).digest(), file)
+            pairs += (
+                []
+                if other is file
+                else [
+                    " and ".join(
+                        one.name if file.name != other.name else f"{one.parent.name}/{one.name}"
+                        for one in (file, other)
+                    )
+                ]
+            )
+    return [] if not pairs else [
+        f"{len(pairs)} of {len(files)} photographs are copies of another one ({some(pairs)}): what is held out of one "
+        "name may be trained on under the other; remove the copies"
     ]  # fmt: skip
 
 

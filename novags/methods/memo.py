@@ -6,7 +6,7 @@ from typing import Any, TypeVar
 
 Result = TypeVar("Result")
 
-LIMIT = 2_000_000_000  # bytes; beyond it the least recently used results are dropped and made again
+LIMIT = 600_000_000  # bytes; beyond it the least recently used results are dropped and made again
 
 
 class Memo:

@@ -1,6 +1,6 @@
 """The input of a method: the training views of one capture, as arrays. Methods know neither folders nor scenes."""
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol, TypeVar, get_args
 
@@ -176,3 +176,13 @@ class Problem:
 def encode(linear: np.ndarray) -> np.ndarray:
     """Linear -> sRGB code, clipped to 0..1 like every developed picture (demosaicing overshoots, noise undershoots)."""
     return linear_to_srgb(np.clip(linear, 0.0, 1.0)).astype(np.float32)
+
+
+def stacked(read: Callable[[int], np.ndarray], indices: Sequence[int]) -> Tensor:
+    """The images [h, w, ...] of at least one view, as [C, h, w, ...] float32; one of them is there twice at a time."""
+    first = read(indices[0])
+    images = np.empty((len(indices), *first.shape), np.float32)
+    images[0] = first
+    for k, i in enumerate(indices[1:], 1):
+        images[k] = read(i)
+    return torch.from_numpy(images)

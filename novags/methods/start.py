@@ -21,9 +21,11 @@ def brightened(colors: Tensor, dark: Tensor, targets: Tensor) -> Tensor:
     bins = 256
     found = torch.empty_like(colors)
     for c in range(3):
-        index = (dark[..., c].flatten() * (bins - 1)).round().long()
-        total = torch.zeros(bins, dtype=torch.float64).index_add_(0, index, targets[..., c].flatten().double())
-        count = torch.bincount(index, minlength=bins)
+        total, count = torch.zeros(bins, dtype=torch.float64), torch.zeros(bins, dtype=torch.int64)
+        for picture, target in zip(dark[..., c], targets[..., c], strict=True):  # indices take twice a picture's memory
+            index = (picture.flatten() * (bins - 1)).round().long()
+            total.index_add_(0, index, target.flatten().double())
+            count += torch.bincount(index, minlength=bins)
         seen = count.nonzero()[:, 0]
         table = total[seen] / count[seen]
         # Codes no pixel has (averaged colours fall between two) take the value of the next code that occurs.

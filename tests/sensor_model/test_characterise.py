@@ -82,6 +82,14 @@ def test_what_a_laboratory_cannot_hold_still_is_not_taken_for_noise(wrong):
     assert found.mu_e_sat == pytest.approx(FULL, rel=0.01)
 
 
+def test_flats_just_beyond_saturation_show_the_full_well():
+    """Some noise is left: four pixels in a hundred stay below."""
+    dark, flat = laboratory()
+    time = 1.02 * FULL / RATE
+    flat[-1] = Stack(stack(1.02 * FULL, time, 6, 18), time, 1.02 * FULL / ETA)
+    assert characterise(dark, flat).mu_e_sat == pytest.approx(FULL, rel=0.01)
+
+
 def test_the_pattern_of_the_dark_is_not_counted_as_response():
     found = characterise(*laboratory(dsnu=20.0))
     assert found.dsnu == pytest.approx(20.0, rel=0.02)

@@ -312,6 +312,8 @@ def test_forcing_everything_off_leaves_a_noiseless_camera_and_on_restores_it():
 def test_a_plan_prints_as_a_table_and_survives_json():
     plan = plan_effects(EVERYTHING, EXPOSURE, [5.0, 50.0], 0.05).force(on=["dsnu"])
     table = str(plan)
+    places = {line.rindex(effect.reason) for line, effect in zip(table.splitlines()[1:], plan.effects, strict=False)}
+    assert len(places) == 1  # reasons stand below each other
     assert len(table.splitlines()) == len(plan.effects) + 2
     assert "on*" in table
     assert f"{plan.bound:.3g}" in table.splitlines()[-1]

@@ -247,6 +247,17 @@ def test_every_cost_is_the_one_written_out(glow: str) -> None:
         assert found[name][0] == pytest.approx(cost, rel=1e-6), name
 
 
+def test_an_effect_from_outside_that_costs_most_in_the_dark_counts_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    def cost(signal: Any, kept: Any, exposure: Exposure, settings: Any) -> tuple[Any, Any]:
+        return 1 / kept, 5 / (1 + signal)
+
+    row = OwnEffect(title="haze", config=NoSettings, sample=lambda signal, *_: 0 * signal,
+                    mean=lambda signal, *_: 0 * signal, variance=lambda signal, *_: 0 * signal, cost=cost)  # fmt: skip
+    monkeypatch.setitem(EFFECT_LIST, "haze", row)
+    found = planner._costs(replace(CAMERA, effects={"haze": {}}), EXPOSURE, LOW, HIGH, LIMITS)["haze"][0]
+    assert found == pytest.approx({SD: 1 / (LOW + 16 + 1 / 108), BIAS: 3 * 5 / (1 + LOW)}, rel=1e-6)
+
+
 def test_shapes_count_at_the_darkest_signal_and_room_at_the_fullest_pixel() -> None:
     plan = plan_effects(replace(CAMERA, tukey_lambda=-0.1, dual_gain=None), EXPOSURE, [LOW, HIGH], LIMITS)
     kept = LOW + 16 + 1 / 108

@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from novags.cameras.doubts import camera_doubts, few_views, lens_doubts
+from novags.cameras.doubts import camera_doubts, few_views, lens_doubts, same_photographs
+from novags.cameras.matching import picture_doubts
 from novags.numbers import SSIM_WINDOW
 from novags.testbed.console.terminal import Console, warnings_as_notes
 from novags.testbed.folders.exchanged import refuse_exchanged
@@ -109,6 +110,13 @@ class Source:
     def color_matrix(self) -> np.ndarray | None:
         """From white-balanced RGB of the set's own colour filters to linear sRGB, [3,3]; white stays white."""
         return None if self.filters is None else np.linalg.inv(self.filters) * self.filters.sum(1)
+
+    def picture_doubts(self) -> list[str]:
+        """Doubts about whether pictures of a stranger show what their cameras say; raw files are not looked at."""
+        views = self.views
+        if _is_own(views.path) or is_raw(views.files[0]):
+            return []
+        return picture_doubts(views.names, views.rig.viewmats, views.rig.Ks, views.image)
 
     def radiance(self, i: int) -> np.ndarray:
         """Linear RGB of view `i`, averaged over each larger pixel where the source is scaled down.
@@ -238,10 +246,11 @@ def source_of(views: MultiviewSet, console: Console, max_size: int | None = None
         name, file = next(iter(views.renamed.items()))
         console.warn(f"{len(views.renamed)} of {len(views)} files and their views cannot have one name ({file!r}: view "
                      f"{name}); the capture.json of a capture of it names the file of each")  # fmt: skip
-    if views.kind == "photographs" and not views.meta:  # our own were looked at when their cameras were found
+    if views.kind == "photographs" and not _is_own(path):  # our own were looked at when their cameras were found
         focals = views.rig.Ks[:, 0, 0] / max(views.rig.width, views.rig.height)
         taken = views.rig.Ks if views.lenses is None else np.stack([lens.K for lens in views.lenses])
         doubts = [*few_views(len(views)), *lens_doubts(taken, (views.rig.width, views.rig.height))]
+        doubts += same_photographs(views.files)
         held = views.points() if views.model() is not None else None
         tracked = held is not None and len(held.view) > 0  # points without tracks were not what the cameras came from
         points = held.xyz if held is not None and tracked else None
@@ -258,11 +267,16 @@ def source_of(views: MultiviewSet, console: Console, max_size: int | None = None
     return Source(views=views, rig=rig, console=console)
 
 
+def _is_own(folder: Path) -> bool:
+    """Whether it was made here."""
+    return any((folder / name).is_file() for name in ("set.json", "capture.json"))
+
+
 def say_stated(file: Path, folder: Path, console: Console) -> None:
     """Say which statements of a photograph are passed over: colours of other primaries, steps of development."""
     if not is_raw(file) and file.suffix.lower() != ".exr":
         with header(file) as image:
-            if other_primaries(image):
+            if other_primaries(file, image):
                 console.warn(f"pictures of {folder} state colours of other primaries than those of sRGB (Display P3, "
                              "say): they are taken as sRGB's, which changes saturated colours a little")  # fmt: skip
     if is_raw(file) and (steps := skipped_steps(file)):

@@ -4,11 +4,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from novags.testbed.folders.photographs.raw_files import is_raw, read_exposure
+from simscenes.sets.pictures.exr_meaning import refuse_foreign
 from simscenes.sets.pictures.image_file import header
 
 ALIKE = 0.02  # relative: cameras round their numbers
+UNEVEN = 4.0  # ratio of two exposures: what a camera that sets them by itself changes on a walk around one thing
 STATED = ("exposure time", "s"), ("ISO speed", ""), ("f-number", "")
 EXIF, TAGS = 0x8769, (0x829A, 0x8827, 0x829D)  # ExposureTime, ISOSpeedRatings (PhotographicSensitivity), FNumber
+OF_EXR = "expTime", "isoSpeed", "aperture"  # OpenEXR's standard attributes
 OF_VIEWS = "all views must be exposed alike. Import photographs that are, or give --time SECONDS, which counts for all"
 OF_CLEAN = ("all clean exposures must be exposed alike, because one factor brings them to the light of the dark "
             "pictures: give some that are, or leave out --clean")  # fmt: skip
@@ -36,11 +39,28 @@ def check_exposed_alike(files: Sequence[Path], rule: str = OF_VIEWS) -> None:
                 )
 
 
+def exposure_doubts(files: Sequence[Path]) -> list[str]:
+    """A doubt where photographs in good light state exposures of which the largest is `UNEVEN` times the least."""
+    stated = [(stated_of(file), file) for file in files]
+    light = [(time * (iso or 1) / (aperture or 1) ** 2, file) for (time, iso, aperture), file in stated if time]
+    alike = len({(iso is None, aperture is None) for (time, iso, aperture), _ in stated if time}) == 1
+    least, most = min(light, default=(1.0, Path())), max(light, default=(1.0, Path()))
+    return [] if not alike or most[0] <= UNEVEN * least[0] else [
+        f"photographs were exposed unevenly: by its exposure time, ISO speed and f-number {most[1].name} got "
+        f"{most[0] / least[0]:.3g} times the exposure of {least[1].name}, so that one surface has several "
+        "brightnesses; take photographs with one exposure for all"
+    ]  # fmt: skip
+
+
 def stated_of(file: Path) -> tuple[float | None, float | None, float | None]:
     """Exposure time in seconds, ISO speed and f-number, each None where the file does not say it."""
     if is_raw(file):
         return read_exposure(file)
     try:
+        if file.suffix.lower() == ".exr":
+            found = refuse_foreign(file)
+            time, iso, aperture = (_number(found.get(name)) for name in OF_EXR)
+            return time, iso, aperture
         with header(file) as image:
             exif = image.getexif().get_ifd(EXIF)
     except ValueError:  # PIL does not know all that OpenCV reads, 16-bit TIFFs for one

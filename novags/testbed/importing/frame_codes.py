@@ -4,15 +4,17 @@ A camera's converter gives every whole number up to the largest one. Programs th
 to the top, or stretch them: each code then stands for 16, and a camera with 12 bits would be full at a sixteenth.
 """
 
+import hashlib
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
 from sensor_model.characterisation import Stack
-from simscenes.sets.pictures.mosaic import is_mosaic
+from simscenes.sets.pictures.mosaic import is_mosaic, is_shifted
 
 MOST = 2  # frames of each stack that are looked at
+UNEVEN = 0.005  # of the range: what odd and even columns of a camera may differ by
 ENOUGH = 32  # different codes: a light of fewer electrons than codes to an electron may leave gaps
 
 
@@ -53,8 +55,35 @@ def check_codes(stacks: Mapping[str, Stack], cfa: str, bits: int, folder: Path) 
         raise ValueError(f"codes of {folder} must be whole numbers without gaps by the {bits} bits of its files or of "
                          f"frames.toml, got {len(codes)} different ones up to {codes[-1]}; {cause}, and give the bits "
                          "that are left")  # fmt: skip
+    for name, stack in stacks.items():
+        if (held := 8 * stack.frames.dtype.itemsize) < bits:
+            raise ValueError(f"frames of {folder / name} hold {held} bits, and {bits} are stated: the lowest were "
+                             f"probably cut off; give the frames with all of them, or bits = {held}")  # fmt: skip
+        if name.startswith("flat/") and (first := _first_copy(stack.frames)) is not None:
+            raise ValueError(f"frames {first[0] + 1} and {first[1] + 1} of {folder / name} are the same, and light "
+                             "never is: remove the copies, which would count as frames without noise")  # fmt: skip
     if cfa == "none":
         _refuse_mosaic(stacks, folder)
+    else:
+        _refuse_shifted(stacks, cfa, bits, folder)
+
+
+def _first_copy(frames: np.ndarray) -> tuple[int, int] | None:
+    """The first two frames of the same codes, which are not all one code, as where light is beyond saturation."""
+    known: dict[bytes, int] = {}
+    for i, frame in enumerate(frames):
+        if (first := known.setdefault(hashlib.sha256(frame.tobytes()).digest(), i)) != i and np.ptp(frame):
+            return first, i
+    return None
+
+
+def _refuse_shifted(stacks: Mapping[str, Stack], cfa: str, bits: int, folder: Path) -> None:
+    black = float(np.median([np.median(stack.frames[0]) for name, stack in stacks.items() if name.startswith("dark/")]))
+    for name, stack in stacks.items():
+        if name.startswith("flat/") and is_shifted(stack.frames[:MOST].mean(0) - black, cfa, UNEVEN * 2**bits):
+            raise ValueError(f"frames of {folder / name} count as behind the filters {cfa}, and its two places of "
+                             "green differ, while red and blue are the same: they lie a row or a column beside; give "
+                             "the right cfa in frames.toml")  # fmt: skip
 
 
 def _refuse_mosaic(stacks: Mapping[str, Stack], folder: Path) -> None:

@@ -12,7 +12,7 @@ from novags.testbed.metrics.picture import Image
 from sensor_model.isp import srgb_to_linear
 from simscenes.sets.pictures.exr import read_exr
 from simscenes.sets.pictures.exr_meaning import refuse_foreign, refuse_pixels
-from simscenes.sets.pictures.image_file import before_white, has_alpha, read_image, read_light
+from simscenes.sets.pictures.image_file import alpha_of, before_white, has_alpha, read_image, read_light
 from simscenes.sets.pictures.meaning import is_deep
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".exr")
@@ -29,12 +29,14 @@ class ForeignPicture:
         kind: Of the file.
         depth: Expected z-depth [h,w], world units, of an EXR file with a channel Z; else None.
         alpha: Opacity [h,w], 0..1: its channel alpha or A, else 1 everywhere. None without depth.
+        clear: Whether pixels are transparent, so that `values` show some of the white behind them.
     """
 
     values: Image
     kind: Kind
     depth: np.ndarray | None = None
     alpha: np.ndarray | None = None
+    clear: bool = False
 
     @property
     def linear(self) -> Image:
@@ -115,10 +117,11 @@ def read_picture(file: Path, width: int, height: int) -> ForeignPicture:
 
 
 def _read_codes(file: Path) -> ForeignPicture:
+    clear = has_alpha(file) and bool((alpha_of(file) < 255).any())
     if is_deep(file):
-        return ForeignPicture(read_light(file), "16-bit")
+        return ForeignPicture(read_light(file), "16-bit", clear=clear)
     if has_alpha(file):
-        return ForeignPicture(before_white(file)[0], "8-bit")
+        return ForeignPicture(before_white(file)[0], "8-bit", clear=clear)
     bgr = read_image(file, cv2.IMREAD_COLOR)
     return ForeignPicture(np.ascontiguousarray(bgr[..., ::-1]).astype(np.float32) / np.float32(255), "8-bit")
 

@@ -15,6 +15,7 @@ from novags.cameras.align import Alignment, align, to_estimated
 from novags.cameras.estimate import CameraEstimate, near_origin
 from novags.cameras.estimating import estimate_cameras
 from novags.cameras.source import CameraConfig
+from novags.methods.problem import stacked
 from novags.splats.views import Views
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import Capture
@@ -54,7 +55,7 @@ def _found(
     config: CameraConfig, capture: Capture, source: Source, indices: list[int], points: int, seed: int,
     device: torch.device, console: Console,
 ) -> CameraEstimate:  # fmt: skip
-    dark = torch.from_numpy(np.stack([capture.srgb8(i) for i in indices]))
+    dark = stacked(capture.srgb8, indices)
     views = capture.cameras
     if source_of(config).takes == "set":
         if not source.scaled:  # depth for the first points; its cameras differ from the capture's by rounding

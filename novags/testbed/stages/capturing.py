@@ -14,6 +14,7 @@ from novags.testbed.folders import capture as capture_folder
 from novags.testbed.folders.capture import has_view, write_view
 from novags.testbed.folders.place import keep_place, recorded_place
 from novags.testbed.folders.set import Source, open_source
+from novags.testbed.importing.exposures import exposure_doubts
 from novags.testbed.ledger.stage import run_stage
 from novags.testbed.stages.configs.capturing import CaptureConfig
 from novags.testbed.stages.layouts import LAYOUTS, check_source_of, truth_of, write_layouts
@@ -84,7 +85,7 @@ def capture(
             inputs=lambda: {"set": source.digest()},
             config=config.resolved(),
             owns=(*capture_folder.OWNS, *LAYOUTS),
-            prepare=lambda: meter(source, config, console),
+            prepare=lambda: look_and_meter(source, config, console),
             work=lambda light: capture_views(source, light, out, config, console),
             console=console,
             stale=stale,
@@ -107,6 +108,14 @@ class Light:
     mean_green: float  # radiance over the set
     signal_e: np.ndarray  # `QUANTILES` of the charge in the sensor's channels, e-
     plan: Plan | None  # which effects to simulate; None: all of them
+
+
+def look_and_meter(source: Source, config: CaptureConfig, console: Console) -> Light:
+    """The result of `meter`, after doubts about photographs were said."""
+    if source.views.kind == "photographs":
+        for doubt in [*exposure_doubts(source.views.files), *source.picture_doubts()]:
+            console.warn(f"{source.views.path}: {doubt}")
+    return meter(source, config, console)
 
 
 def meter(source: Source, config: CaptureConfig, console: Console, pixels: int | None = None) -> Light:

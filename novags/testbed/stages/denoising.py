@@ -9,13 +9,14 @@ import numpy as np
 from novags.methods.denoised.denoiser import denoised
 from novags.methods.denoised.measured import of_capture
 from novags.methods.denoised.weights import made_by
+from novags.methods.problem import stacked
 from novags.testbed.console.devices import chosen_device
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.ledger.stage import run_stage
 from novags.testbed.stages.configs.denoising import DenoisePicturesConfig
 from novags.testbed.stages.paths import keep_apart
-from novags.testbed.stages.reconstructing import raw_pictures, stack
+from novags.testbed.stages.reconstructing import raw_pictures
 from sensor_model.isp import to_srgb8
 from simscenes.sets.pictures.png import write_png
 
@@ -57,7 +58,7 @@ def denoise_views(capture: Capture, out: Path, config: DenoisePicturesConfig, co
     """Adapt the network to all views and write each without noise; returns the body of denoise.json."""
     indices, device = list(range(len(capture.names))), chosen_device(config.device, console)
     raw = raw_pictures(capture, indices) if capture.holds("raw") else None
-    linear16 = stack([capture.linear16(i) for i in indices]) if capture.holds("images16") else None
+    linear16 = stacked(capture.linear16, indices) if capture.holds("images16") else None
     pictures = of_capture(capture.noise, raw, linear16, capture.channels_share + capture.pixels_share).to(device)
     steps = 0 if config.denoise.adapt is None else config.denoise.adapt.steps
     with console.progress("denoise", {"denoiser": steps, "views": len(indices)}) as progress:

@@ -187,8 +187,10 @@ def _say_spaced(file: Path, console: Console) -> None:
 
 def _say(dark: Dark, darkroom: Darkroom, config: ImportConfig, match: Match | None, console: Console) -> None:
     """Assumptions about the photographs, and losses in the import."""
-    for file in dict.fromkeys((*dark.files[:1], *dark.raws[:1])):
+    for file in dict.fromkeys((*dark.files, *dark.raws)):
         say_stated(file, dark.source.views.path, console)
+    for doubt in dark.source.picture_doubts():
+        console.warn(f"{dark.source.views.path}: {doubt}")
     if dark.depth == "16bit":
         curve = config.codes.of(dark.files[0]).curve
         says = ", as the files say" if config.curve == "auto" and curve != "linear" else ""

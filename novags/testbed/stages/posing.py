@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from novags.cameras.doubts import LARGE_ERROR, camera_doubts, few_views, lens_doubts
+from novags.cameras.doubts import LARGE_ERROR, camera_doubts, few_views, lens_doubts, same_photographs
 from novags.cameras.motion.registration import PLACED, Observed, Registered, Shot, register
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders.photographs.raw_files import SUFFIXES as RAW
 from novags.testbed.folders.photographs.video import is_video, write_frames
-from novags.testbed.folders.set import left_out
+from novags.testbed.folders.set import left_out, say_stated
+from novags.testbed.importing.exposures import exposure_doubts
 from novags.testbed.ledger.contents import folder_digest
 from novags.testbed.ledger.stage import run_stage
 from novags.testbed.stages.configs.posing import PosesConfig
@@ -48,6 +49,8 @@ def poses(
                      f"{some(masks)}; all pixels of a photograph count")  # fmt: skip
     if config.photographs.is_dir():
         keep_apart(out, config.photographs)
+        for file in files.values():
+            say_stated(file, config.photographs, console)
     record = run_stage(
         "poses",
         out,
@@ -237,6 +240,7 @@ def _doubts(labels: list[str], bare: Sequence[Bare], found: Registered, size: tu
     if found.error > LARGE_ERROR:
         doubts.append(f"points are {found.error:.2g} px from where the cameras see them, of at most {LARGE_ERROR:g}: "
                       "cameras are wrong, or something moved between the photographs")  # fmt: skip
+    doubts += [*same_photographs([one.file for one in bare]), *exposure_doubts([one.file for one in bare])]
     turned = [label for label, one in zip(labels, bare, strict=True) if one.turned]
     cropped = [label for label, one in zip(labels, bare, strict=True) if one.size != size]
     if turned:

@@ -2,17 +2,17 @@
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from novags.cameras.estimate import CameraEstimate
 from novags.methods import METHODS, title_of
 from novags.methods.inputs import LacksInput
-from novags.methods.problem import Problem, RawPictures, TrueSurface
+from novags.methods.problem import Problem, RawPictures, TrueSurface, stacked
 from novags.methods.reconstruction import Reconstruction
 from novags.methods.variant import sees_statistics
 from novags.splats.views import Views
@@ -114,15 +114,15 @@ def prepare(capture: Capture, source: Source, config: ReconstructConfig, console
         views=views_of(estimate.rig),
         start=estimate,
         seed=config.seed,
-        srgb8=stack([capture.srgb8(i) for i in indices]),
-        linear16=stack([capture.linear16(i) for i in indices]) if capture.holds("images16") else None,
+        srgb8=stacked(capture.srgb8, indices),
+        linear16=stacked(capture.linear16, indices) if capture.holds("images16") else None,
         raw=raw_pictures(capture, indices) if capture.holds("raw") else None,
         noise=capture.noise,
         channels_share=capture.channels_share,
         pixels_share=capture.pixels_share,
-        clean=stack([capture.clean(i) for i in indices]) if method.sees_clean else None,
+        clean=stacked(capture.clean, indices) if method.sees_clean else None,
         clean_demosaiced=(
-            stack([capture.clean(i, demosaiced=True) for i in indices])
+            stacked(partial(capture.clean, demosaiced=True), indices)
             if method.sees_clean and capture.demosaiced
             else None
         ),
@@ -165,7 +165,7 @@ def raw_pictures(capture: Capture, indices: list[int]) -> RawPictures:
     cfa, black, white = capture.levels
     balance, matrix = capture.color
     return RawPictures(
-        dn=stack([capture.raw(i) for i in indices]), cfa=cfa, black=black, white=white, balance=balance, matrix=matrix
+        dn=stacked(capture.raw, indices), cfa=cfa, black=black, white=white, balance=balance, matrix=matrix
     )
 
 
@@ -229,11 +229,6 @@ def reconstruct_views(
         "training_views": len(problem.views),
         "seconds": result.seconds,
     }
-
-
-def stack(images: list[np.ndarray]) -> Tensor:
-    """Images [h,w,...] -> [C,h,w,...] float32."""
-    return torch.from_numpy(np.stack(images).astype(np.float32))
 
 
 def write_images(folder: Path, names: Sequence[str], result: Reconstruction) -> None:

@@ -17,6 +17,11 @@ PAINTED_LAMP = (
     "a lamp whose radiance is a 'mesh_attribute': Mitsuba cannot sample its light, so that all it shines on is too "
     "dark; give it one colour, or a bitmap and texture coordinates"
 )
+# RGB takes the codes of directions for those of colours, without a word, and tilts every surface.
+COLOURED_NORMALS = (
+    "a 'normalmap' whose bitmap is read as colours: directions are no colours; add <boolean name=\"raw\" "
+    'value="true"/> to the bitmap'
+)
 # Plugins that only spectral variants can read, by class; in RGB Mitsuba would find out in the middle of a render.
 SPECTRAL = {
     "RegularSpectrum": "a 'regular' spectrum, which only spectral variants can read; write it as type 'spectrum' with "
@@ -46,6 +51,8 @@ def why_unusable(scene: Any, mi: Any) -> str:
             return SPECTRAL[kind]
         if label == "radiance" and kind.startswith("MeshAttribute"):
             return PAINTED_LAMP
+        if label == "normalmap" and kind == "BitmapTextureImpl" and "raw = 0" in str(part):
+            return COLOURED_NORMALS
     if spectral and (raw := raw_color(scene, mi)):
         return (
             f"a bitmap with raw = true as {raw}: it has no spectrum, and is for RGB alone; leave raw out where a "

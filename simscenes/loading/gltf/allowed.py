@@ -23,7 +23,8 @@ UNDERSTOOD: dict[str, Shape] = {
     "scenes": {"nodes?": [int]},
     "nodes": {"children?": [int], "mesh?": int, "camera?": int, "matrix?": Numbers(16), "translation?": _TRIPLE,
               "rotation?": Numbers(4), "scale?": _TRIPLE, "extensions?": {"KHR_lights_punctual?": {"light": int}}},
-    "meshes": {"primitives": [{"attributes": _ATTRIBUTES, "indices?": int, "material?": int, "mode?": int}]},
+    "meshes": {"primitives": [{"attributes": _ATTRIBUTES, "indices?": int, "material?": int, "mode?": int,
+                                "extensions?": {}}]},
     "materials": {"pbrMetallicRoughness?": _PBR, "normalTexture?": _TEXTURED | {"scale?": float},
                   "emissiveFactor?": _TRIPLE, "emissiveTexture?": _TEXTURED, "alphaMode?": str, "alphaCutoff?": float,
                   "doubleSided?": bool, "extensions?": {
@@ -44,6 +45,7 @@ FILE: Shape = {f"{name}?": [shape] for name, shape in UNDERSTOOD.items()} | {
 }  # fmt: skip
 ANYWHERE = {"name", "extras"}  # change no picture
 HARMLESS: dict[str, set[str]] = {  # a path tracer has no use for them, by the last name on the way to them
+    "extensions": {"KHR_xmp", "KHR_xmp_json_ld", "KHR_materials_variants"},  # who made it; other looks than its own
     "": {"animations", "skins"},  # a moving node stands where it is; a skin is refused where it is used
     "asset": {"generator", "copyright", "minVersion"},
     "attributes": {"TANGENT", "TEXCOORD_1", "TEXCOORD_2", "TEXCOORD_3", "COLOR_1"},  # refused where they are used

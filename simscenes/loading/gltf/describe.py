@@ -149,6 +149,9 @@ def _shape(
     if material.bumpy and "uv" in columns and (share := _mirrored(columns["uv"], faces)) > 0:
         warnings.warn(f"{document.path}: the normal map of {name} lies mirrored on {share:.0%} of its faces: bumps are "
                       "turned upside down there. Unwrap it without mirrored islands", stacklevel=3)  # fmt: skip
+    if material.emitter is not None and material.both_sides and _is_open(columns["xyz"], faces):
+        warnings.warn(f"{document.path}: {name} shines from its front alone, the side that its normals point to: "
+                      "Mitsuba knows no lamp of both sides (doubleSided)", stacklevel=3)  # fmt: skip
     write_ply(file, columns, faces)
     shape: Dict = {"type": "ply", "filename": str(file), "face_normals": "normal" not in columns, "bsdf": material.bsdf}
     return shape if material.emitter is None else shape | {"emitter": material.emitter}
@@ -163,6 +166,13 @@ def _faces(document: GltfDocument, primitive: Dict, count: int, name: str) -> ND
         raise ValueError(f"{document.path}: {name}: {len(corners)} corners up to {corners.max()} are no triangles "
                          f"of {count} vertices: it is damaged")  # fmt: skip
     return corners.reshape(-1, 3)
+
+
+def _is_open(points: NDArray[Any], faces: NDArray[np.int64]) -> bool:
+    """Whether the back of a mesh can be seen: some edge belongs to one face alone."""
+    _, same = np.unique(points, axis=0, return_inverse=True)  # seams of texture coordinates split vertices
+    edges = np.sort(same.reshape(-1)[faces][:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    return bool((np.unique(edges, axis=0, return_counts=True)[1] == 1).any())
 
 
 def _mirrored(uv: NDArray[Any], faces: NDArray[np.int64]) -> float:

@@ -32,12 +32,14 @@ class Painted:
         emitter: Description of the area light; None: it does not shine.
         coloured: Whether colours of vertices may multiply its base colour: it is no texture.
         bumpy: Whether it has a normal map.
+        both_sides: Whether the file wants both its faces seen.
     """
 
     bsdf: Dict
     emitter: Dict | None
     coloured: bool
     bumpy: bool
+    both_sides: bool
 
 
 def painted(document: GltfDocument, index: int | None, vertex_colors: bool, mi: Any) -> Painted:
@@ -69,7 +71,7 @@ def painted(document: GltfDocument, index: int | None, vertex_colors: bool, mi: 
     if (opacity := textures.opacity(found, alpha)) is not None:
         bsdf = {"type": "mask", "opacity": opacity, "bsdf": bsdf}
     emitter = textures.emission(found, (extensions.get("KHR_materials_emissive_strength") or {}))
-    return Painted(bsdf, emitter, "baseColorTexture" not in pbr, bool(normal))
+    return Painted(bsdf, emitter, "baseColorTexture" not in pbr, bool(normal), bool(found.get("doubleSided")))
 
 
 @dataclass

@@ -85,6 +85,10 @@ def _kind(header: dict[str, Any]) -> str:
         return f"is a deep EXR file ({kind}), of several surfaces a pixel, which is not read: flatten it"
     if "envmap" in header:
         return "is a panorama (envmap), not the picture of a camera: render views"
+    if abs((ratio := float(header.get("pixelAspectRatio", 1))) - 1) > ALIKE:
+        return (
+            f"has pixels that are not square (pixelAspectRatio {ratio:g}), which are not read: save it with square ones"
+        )
     if header.get("multiView"):
         views = some([str(v) for v in header["multiView"]], 4)
         return f"holds several views ({views}), of which only one is read: save each as a file of its own"

@@ -6,17 +6,22 @@ that can be done, and refused by name where it cannot. Colours of other primarie
 
 from __future__ import annotations
 
+import re
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal
 
 from sensor_model.files.door import PICTURE, opened
-from simscenes.sets.pictures.png_chunks import chunks_of_png, curve_of_png, unfit_png
+from simscenes.sets.pictures.png_chunks import SRGB_PRIMARIES, chunks_of_png, curve_of_png, primaries_of_png, unfit_png
 from simscenes.sets.pictures.profile import has_other_primaries, kind_of, middle_of
 from simscenes.sets.pictures.tiff import BITS, tiff_tags
 from simscenes.sets.pictures.tiff_meaning import unfit_tiff
 
 SRGB = (0.3127, 0.3290, 0.64, 0.33, 0.30, 0.60, 0.15, 0.06)  # x, y of white, red, green and blue, as cHRM has them
 ALIKE = 0.005  # of these
+HEAD = 2**20  # bytes in which the sizes of a picture stand; before them may be a profile
+WITH_WHITE = (b"P2", b"P3", b"P5", b"P6")
+SIZES = b"\xff\x4f\xff\x51"  # of JPEG 2000: two markers, and 42 bytes from them the bits of a channel, less 1
 BMP_MASKS = (3, 6)  # of its kinds of compression
 Curve = Literal["linear", "srgb"]
 
@@ -37,6 +42,9 @@ def unfit(file: Path, image: Any, *, pages: int = 1) -> str:
         return problem
     if image.format == "BMP" and (problem := _unfit_bmp(file)):
         return problem
+    if (most := _largest_code(file, image.format)) != 255:
+        return (f"is a picture of codes up to {most} in {image.format}, which is not read: save it as PNG or TIFF of "
+                "8 or 16 bits")  # fmt: skip
     if image.mode == "CMYK":
         return "is a picture in CMYK, the inks of a printer, which is not read: save it as RGB"
     kind, who = _stated(image, chunks)
@@ -61,6 +69,19 @@ def _unfit_bmp(file: Path) -> str:
     return f"is a BMP of {bits} bits a pixel with masks of its colours, which is not read: save it as PNG"
 
 
+def _largest_code(file: Path, format: str) -> int:
+    """What white is by the header of a PPM, PGM or JPEG 2000 file, of which decoders keep 8 bits; 255 of all others."""
+    if format not in ("PPM", "JPEG2000"):
+        return 255
+    with opened(file, most=PICTURE) as stored:
+        head = stored.read(HEAD)
+    if format == "PPM":
+        kind, *numbers = re.sub(rb"#[^\n]*\n", b"", head).split(maxsplit=4)[:4]
+        return int(numbers[2]) if kind in WITH_WHITE else 255
+    start = head.find(SIZES)
+    return 2 ** (1 + (head[start + 42] & 127)) - 1 if 0 <= start < len(head) - 42 else 255
+
+
 def curve_of(file: Path, image: Any) -> Curve | None:
     """The curve that a picture, as PIL opens it, states for its codes; None where it states none.
 
@@ -83,8 +104,14 @@ def is_deep(file: Path) -> bool:
     return bits is not None and max(bits.values) > 8
 
 
-def other_primaries(image: Any) -> bool:
-    """Whether the picture's colours are stated to be of other primaries than sRGB's, as telephones' P3."""
+def other_primaries(file: Path, image: Any) -> bool:
+    """Whether the picture's colours are stated to be of other primaries than sRGB's, as telephones' P3.
+
+    Raises:
+        OSError: If it cannot be read.
+    """
+    if (number := primaries_of_png(chunks_of_png(file))) is not None:
+        return number != SRGB_PRIMARIES
     profile, stated = image.info.get("icc_profile"), image.info.get("chromaticity")
     if isinstance(profile, bytes):
         return has_other_primaries(profile)
@@ -113,14 +140,11 @@ def _several(image: Any) -> str:
         return ""
     if image.format == "MPO":
         size, others = image.size, []
-        try:
+        with suppress(EOFError, OSError, ValueError, SyntaxError):  # cut short behind the first picture, which is whole
             for number in range(1, count):
                 image.seek(number)
                 others.append(image.size)
-        except (EOFError, OSError, ValueError, SyntaxError):  # cut short behind the first picture, which is whole
-            others = [s for s in others if s]
-        finally:
-            image.seek(0)
+        image.seek(0)
         if not any(w >= size[0] and h >= size[1] for w, h in others):
             return ""
     return f"holds {count} pictures, of which only the first is read: save each as a file of its own"

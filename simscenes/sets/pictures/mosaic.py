@@ -21,6 +21,8 @@ SHARE = 0.02  # of the light, and more: odd and even columns of a camera differ 
 DARKEST = 1.0  # % of the pixels: what they have counts as black
 PAIRS = 0.25  # of the steps between pixels: a mosaic has as large ones in pairs as between them
 BLOCKS = 8  # fewer of them decide nothing
+# Green by which its two places must differ to be red and blue: of the light, and times what red and blue differ.
+GREENS_APART, TIMES_OTHERS = 0.05, 4.0
 
 
 def is_mosaic(*grays: NDArray[np.generic], flat: bool = False) -> bool:
@@ -47,6 +49,23 @@ def is_mosaic(*grays: NDArray[np.generic], flat: bool = False) -> bool:
     return bool(sure and np.median(amplitude) > SHARE * max(float(light.mean()) - black, 1e-9))
 
 
+def is_shifted(light: NDArray[np.generic], cfa: str, least: float) -> bool:
+    """Whether filters lie a row or a column beside where they are said: both places of green differ, and red is blue.
+
+    Args:
+        light: Of a mosaic [h,w], without black levels.
+        cfa: The filters as they are said, row by row.
+        least: What the two places of green differ by in any camera, in the unit of `light`.
+    """
+    places = [_blocks(light[y::2, x::2], SIDE // 2).mean((1, 2)) for y in (0, 1) for x in (0, 1)]
+    green = [place for place, color in zip(places, cfa, strict=True) if color == "G"]
+    other = [place for place, color in zip(places, cfa, strict=True) if color != "G"]
+    if min(map(len, places)) < BLOCKS or len(green) != len(other):
+        return False
+    apart, apart_others = (float(np.median(np.abs(a - b))) for a, b in (green, other))
+    return apart > max(least, GREENS_APART * float(np.median(places)), TIMES_OTHERS * apart_others)
+
+
 def _is_doubled(blocks: NDArray[np.float64]) -> bool:
     """Whether pixels come in equal pairs: a picture that was enlarged twice has a period of two pixels as well."""
     for axis in (1, 2):
@@ -57,13 +76,13 @@ def _is_doubled(blocks: NDArray[np.float64]) -> bool:
     return False
 
 
-def _blocks(gray: NDArray[np.generic]) -> NDArray[np.float64]:
-    """The blocks [n, SIDE, SIDE] of the middle of a picture."""
+def _blocks(gray: NDArray[np.generic], side: int = SIDE) -> NDArray[np.float64]:
+    """The blocks [n, side, side] of the middle of a picture."""
     h, w = gray.shape
-    y, x = (max(0, side - WINDOW) // 2 for side in (h, w))
-    part = gray[y : y + min(h, WINDOW) // SIDE * SIDE, x : x + min(w, WINDOW) // SIDE * SIDE].astype(np.float64)
-    rows, columns = part.shape[0] // SIDE, part.shape[1] // SIDE
-    return part.reshape(rows, SIDE, columns, SIDE).swapaxes(1, 2).reshape(-1, SIDE, SIDE)
+    y, x = (max(0, length - WINDOW) // 2 for length in (h, w))
+    part = gray[y : y + min(h, WINDOW) // side * side, x : x + min(w, WINDOW) // side * side].astype(np.float64)
+    rows, columns = part.shape[0] // side, part.shape[1] // side
+    return part.reshape(rows, side, columns, side).swapaxes(1, 2).reshape(-1, side, side)
 
 
 def refuse_mosaic(pixels: NDArray[np.generic], file: Path) -> None:

@@ -22,6 +22,7 @@ WHAT = {b"CgBI": "Apple's own form for telephones, of colours multiplied by alph
         b"pCAL": "codes that stand for other quantities"}  # fmt: skip
 MOST_CHUNKS, MOST_BYTES = 1000, 64  # before the pixels; of a chunk that is looked at
 # Transfer curves by their number in ITU-T H.273: those shown like sRGB, and the one that is proportional to light.
+SRGB_PRIMARIES, UNSTATED = 1, 2
 SHOWN, PROPORTIONAL = {1, 2, 4, 6, 13, 14, 15}, {8}
 TRANSFERS = {5: "an exponent of 2.8", 16: "PQ", 18: "HLG"}
 SRGB_GAMMA, LINEAR_GAMMA = (0.42, 0.52), (0.98, 1.02)  # of gAMA: 1/2.2, 1/1.961 of video; 1
@@ -56,9 +57,19 @@ def unfit_png(chunks: dict[bytes, bytes]) -> str:
             continue
         what = f" ({WHAT[name]})" if name in WHAT else ", which can change what its codes mean"
         return f"has the chunk {name.decode('latin1')!r}{what}, which is not read: save it as a plain PNG"
-    if len(coded := chunks.get(b"cICP", b"")) >= 4 and not coded[3]:
+    coded = chunks.get(b"cICP", b"")
+    if len(coded) >= 4 and not coded[3]:
         return "states codes of video, from 16 to 235 (cICP, narrow range), which are not read: save it with full range"
+    if len(coded) >= 4 and coded[2]:
+        return (f"states brightness and differences of colours (cICP, matrix {coded[2]}), which are not read: save it "
+                "as RGB")  # fmt: skip
     return ""
+
+
+def primaries_of_png(chunks: dict[bytes, bytes]) -> int | None:
+    """The number of its primaries in ITU-T H.273, which counts before any profile; None where it states none."""
+    coded = chunks.get(b"cICP", b"")
+    return coded[0] if len(coded) >= 4 and coded[0] != UNSTATED else None
 
 
 def curve_of_png(chunks: dict[bytes, bytes]) -> tuple[str, str] | None:

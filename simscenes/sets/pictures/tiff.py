@@ -23,7 +23,8 @@ from sensor_model.files.door import PICTURE, opened, read_bytes
 
 KIND, WIDTH, HEIGHT = 254, 256, 257
 BITS, PHOTOMETRIC, ORIENTATION, PLANAR, TILE_WIDTH, EXTRA_SAMPLES, SAMPLE_FORMAT = 258, 262, 274, 284, 322, 338, 339
-TAGS = (KIND, WIDTH, HEIGHT, BITS, PHOTOMETRIC, ORIENTATION, PLANAR, TILE_WIDTH, EXTRA_SAMPLES, SAMPLE_FORMAT)
+SUB_IFDS = 330
+TAGS = (KIND, WIDTH, HEIGHT, BITS, PHOTOMETRIC, ORIENTATION, PLANAR, TILE_WIDTH, SUB_IFDS, EXTRA_SAMPLES, SAMPLE_FORMAT)
 REDUCED, MASK = 1, 4  # bits of KIND: a smaller copy of another picture, the transparent part of one
 MIN_IS_WHITE, MIN_IS_BLACK = 0, 1  # of PHOTOMETRIC: gray, by the meaning of its code 0
 SEPARATE = 2  # of PLANAR: each channel is stored as a picture of its own
@@ -35,7 +36,7 @@ ORDERS = {b"II": "<", b"MM": ">"}
 # By the version (TIFF, BigTIFF): where the place of the first directory stands, and the types of places and counts, and
 # of the number of entries of a directory.
 LAYOUTS = {42: (4, "I", "H"), 43: (8, "Q", "Q")}
-INTEGERS = {1: "B", 3: "H", 4: "I", 16: "Q"}  # types of values, by their number in the file
+INTEGERS = {1: "B", 3: "H", 4: "I", 13: "I", 16: "Q", 18: "Q"}  # types of values, by their number in the file
 # Of a file, of a directory and of an entry; a damaged file may state any number.
 MOST_DIRECTORIES, MOST_ENTRIES, MOST_VALUES, MOST_PAGES = 16, 2**16, 16, 4096
 
@@ -146,7 +147,7 @@ def like_pages(file: Path) -> int:
     kinds: list[dict[int, tuple[int, ...]]] = []
     with opened(file, most=PICTURE) as source, suppress(struct.error):
         for tags in _directories(source, MOST_PAGES):
-            kinds.append({tag: entry.values for tag, entry in tags.items() if tag != KIND})
+            kinds.append({tag: entry.values for tag, entry in tags.items() if tag not in (KIND, SUB_IFDS)})
     return len(kinds) if kinds and all(kind == kinds[0] for kind in kinds) else 0
 
 
@@ -154,7 +155,7 @@ def _pages(file: Path) -> str:
     """Whether other pictures than smaller copies follow the first one, or it is such a copy itself; "" if not."""
     sizes: list[int] = []
     with opened(file, most=PICTURE) as source, suppress(struct.error):
-        for tags in _directories(source):
+        for tags in _directories(source, below=True):
             kind, *size = (tags[tag].values[0] if tag in tags else 0 for tag in (KIND, WIDTH, HEIGHT))
             if kind & REDUCED and not sizes:
                 return ("is a TIFF whose first picture is a smaller copy of another one, and the only one that is "
@@ -165,8 +166,12 @@ def _pages(file: Path) -> str:
     return ""
 
 
-def _directories(source: BinaryIO, most: int = MOST_DIRECTORIES) -> Iterator[dict[int, Tag]]:
-    """The tags of each picture of a file, one directory after the other, as far as they lie in the file."""
+def _directories(
+    source: BinaryIO, most: int = MOST_DIRECTORIES, *, below: bool = False
+) -> Iterator[dict[int, Tag]]:  # fmt: skip
+    """The tags of each picture of a file, one directory after the other, as far as they lie in the file; and of those
+    that lie below others, such as smaller copies, where asked for.
+    """
     start = source.read(16)
     order = ORDERS.get(start[:2])
     if order is None or (version := struct.unpack_from(order + "H", start, 2)[0]) not in LAYOUTS:
@@ -174,15 +179,20 @@ def _directories(source: BinaryIO, most: int = MOST_DIRECTORIES) -> Iterator[dic
     place, long, short = LAYOUTS[version]
     wide, size = struct.calcsize(long), os.fstat(source.fileno()).st_size
     (at,) = struct.unpack_from(order + long, start, place)
-    seen: set[int] = set()
-    while 0 < at < size and at not in seen and len(seen) < most:
+    seen, waiting = set[int](), [at]
+    while waiting and len(seen) < most:
+        at = waiting.pop(0)
+        if not 0 < at < size or at in seen:
+            continue
         seen.add(at)
         source.seek(at)
         (count,) = struct.unpack(order + short, source.read(struct.calcsize(short)))
         begin = source.tell()
         body = source.read(min(count, MOST_ENTRIES) * (4 + 2 * wide) + wide)
-        yield dict(_tags(source, body, begin, order, long, size))
-        (at,) = struct.unpack_from(order + long, body, count * (4 + 2 * wide))
+        tags = dict(_tags(source, body, begin, order, long, size))
+        yield tags
+        waiting += tags[SUB_IFDS].values if below and SUB_IFDS in tags else ()
+        waiting += struct.unpack_from(order + long, body, count * (4 + 2 * wide))
 
 
 def _tags(source: BinaryIO, body: bytes, begin: int, order: str, long: str, size: int) -> Iterator[tuple[int, Tag]]:

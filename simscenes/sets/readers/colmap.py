@@ -156,10 +156,12 @@ def colmap_lens(camera: Any, width: int, height: int, source: Path) -> Distorted
     # COLMAP calls the radial terms of its one- and two-parameter models k, or k1 and k2.
     k1 = params["k"] if "k" in params else params.get("k1", 0.0)
     allowed = {"SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"}
-    rational = any(params.get(f"k{i}") for i in range(3, 7))  # without these a FULL_OPENCV camera is an OPENCV one
+    rational = any(params.get(f"k{i}") for i in range(4, 7))  # without these FULL_OPENCV is OPENCV and k3
     if camera.model_name not in allowed and (camera.model_name != "FULL_OPENCV" or rational):
         raise ValueError(f"load_set: {source} has a {camera.model_name} camera, supported are {sorted(allowed)}; "
                          "run colmap image_undistorter first")  # fmt: skip
     K = np.asarray(camera.calibration_matrix(), dtype=np.float64)
     K = rescaled(K, (camera.width, camera.height), (width, height), source)
-    return DistortedPinhole(K, (k1, params.get("k2", 0.0), params.get("p1", 0.0), params.get("p2", 0.0), 0.0))
+    return DistortedPinhole(
+        K, (k1, params.get("k2", 0.0), params.get("p1", 0.0), params.get("p2", 0.0), params.get("k3", 0.0))
+    )

@@ -169,7 +169,8 @@ def _colours(table: dict[str, NDArray[Any]], count: int) -> NDArray[np.uint8]:
     for names in COLOURS:
         if all(name in table for name in names):
             rgb = np.stack([table[name] for name in names], -1)
-            most = {"u1": 255.0, "u2": 65535.0}.get(rgb.dtype.str[1:], 1.0)
+            largest = float(np.nan_to_num(rgb).max(initial=0))  # floats are shares, or codes of 8 bits
+            most = {"u1": 255.0, "u2": 65535.0}.get(rgb.dtype.str[1:], 1.0 if largest <= 1 else 255.0)
             return np.round(np.clip(np.nan_to_num(rgb / most), 0, 1) * 255).astype(np.uint8)
     if all(name in table for name in HARMONICS):
         light = 0.5 + 0.28209479177387814 * np.stack([table[name] for name in HARMONICS], -1)

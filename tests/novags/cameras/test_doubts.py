@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from novags.cameras.doubts import camera_doubts, few_views, lens_doubts
+from novags.cameras.doubts import camera_doubts, few_views, lens_doubts, same_photographs
 from simscenes import orbit_rig
 from simscenes.sets.pictures.png import write_png
 from simscenes.sets.readers.bare import without_masks
@@ -33,9 +33,12 @@ def test_good_cameras_raise_no_doubt() -> None:
     several = np.append(np.full(37, 1.1), [2.5, 2.52, 2.49])  # a rig with another lens on one of its cameras
     assert camera_doubts(LABELS * 4, np.tile(VIEWMATS, (4, 1, 1)), several) == []
     assert few_views(8) == []
-    telephone, telephoto = np.array([[[700, 0, 320], [0, f, 240], [0, 0, 1.0]] for f in (690, 720)]), np.eye(3)[None]
+    telephone = np.array([[[700, 0, 320], [0, f, 240], [0, 0, 1.0]] for f in (690, 720)])
     assert lens_doubts(telephone, (640, 480)) == []
-    assert lens_doubts(telephoto * 6000, (640, 480)) == []
+    assert (
+        lens_doubts(telephone * np.array([8.5, 8.5, 1])[:, None] - [[0, 0, 2400], [0, 0, 1800], [0, 0, 0]], (640, 480))
+        == []
+    )
 
 
 def looking_ahead(centres: np.ndarray) -> np.ndarray:
@@ -90,6 +93,26 @@ def test_lenses_that_no_camera_has_are_said(fx: float, fy: float, said: str) -> 
     assert note.startswith(said)
 
 
+@pytest.mark.parametrize(("cx", "cy"), [(0, 0), (0.5, 0.5), (320, 20), (600, 240)])
+def test_a_principal_point_beside_the_middle_half_is_said(cx: float, cy: float) -> None:
+    (note,) = lens_doubts(np.array([[[700, 0, cx], [0, 700, cy], [0, 0, 1.0]]]), (640, 480))
+    assert note.startswith("1 of 1 cameras have their principal point beside the middle half of the picture")
+
+
+def test_copies_of_a_photograph_are_said_by_name(tmp_path) -> None:
+    files = [tmp_path / f"{i}.jpg" for i in range(4)]
+    for i, file in enumerate(files):
+        file.write_bytes(bytes([i]) * 1000)
+    assert same_photographs(files) == []
+    files[3].write_bytes(files[1].read_bytes())
+    (note,) = same_photographs(files)
+    assert note.startswith("1 of 4 photographs are copies of another one (3.jpg and 1.jpg)")
+    (tmp_path / "test").mkdir()
+    (tmp_path / "test" / "2.jpg").write_bytes(files[2].read_bytes())
+    (note,) = same_photographs([files[2], tmp_path / "test" / "2.jpg"])
+    assert f"(test/2.jpg and {tmp_path.name}/2.jpg)" in note
+
+
 @pytest.mark.parametrize("known", [True, False])
 def test_a_camera_far_from_the_others_with_another_lens_is_named_with_its_reasons(known: bool) -> None:
     """As of the photographs of a church: 38 points, a focal length twice and a distance ten times the others'."""
@@ -112,6 +135,7 @@ def test_too_few_points_too_few_views_and_a_camera_that_only_turns_are_said() ->
     assert any(
         "taken from one place" in said for said in camera_doubts(LABELS, turned, FOCALS, points=POINTS, seen=SEEN)
     )
+    assert any("taken from one place" in said for said in camera_doubts(LABELS, np.tile(np.eye(4), (10, 1, 1)), FOCALS))
     (note,) = few_views(5)
     assert note.startswith("only 5 photographs have a camera, at least 8 are of use")
 

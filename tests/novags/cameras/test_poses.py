@@ -4,6 +4,8 @@ import io
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 import cv2
 import numpy as np
@@ -14,7 +16,8 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from novags.cameras.align import align
-from novags.cameras.motion.registration import Observed, Registered, pairs_of
+from novags.cameras.motion import registration
+from novags.cameras.motion.registration import MANY, Observed, Registered, Shot, pairs_of
 from novags.testbed import stages
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders.photographs.video import write_frames
@@ -287,3 +290,28 @@ def test_the_scene_is_called_as_its_folder_is_dots_and_all(tmp_path: Path) -> No
     (tmp_path / "walk.mp4").touch()
     places = (tmp_path / "garden.1", tmp_path / "garden.2" / "images", tmp_path / "walk.mp4")
     assert [PosesConfig(photographs=place).name for place in places] == ["garden.1", "garden.2", "walk"]
+
+
+@pytest.mark.parametrize(("count", "model"), [(MANY, "OPENCV"), (MANY - 1, "SIMPLE_RADIAL")])
+def test_a_lens_of_many_pictures_has_all_its_parameters_and_starts_as_stated(
+    count: int, model: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The picture of another lens comes first."""
+    shots = [Shot("other.png", 1, None), *(Shot(f"{i}.png", 0, 50.0) for i in range(count))]
+    for shot in shots:
+        Image.new("L", (40, 30)).save(tmp_path / shot.name)
+    lenses = []
+    fake = SimpleNamespace(
+        FeatureExtractor=SimpleNamespace(create=lambda *_: None), Device=SimpleNamespace(cpu=0), Database=MagicMock(),
+        ImageReaderOptions=lambda **given: SimpleNamespace(**given), CameraMode=SimpleNamespace(SINGLE=0),
+        import_images=lambda database, folder, mode, names, reader: lenses.append((names[0], reader)),
+    )  # fmt: skip
+    monkeypatch.setattr(registration, "detect", lambda *given: 7 if given[2] == "other.png" else 8)
+    registration._detect(fake, tmp_path / "d", tmp_path, shots, None, lambda *_: None)
+    new = [(name, reader) for name, reader in lenses if hasattr(reader, "camera_model")]
+    assert [(name, reader.camera_model) for name, reader in new] == [("other.png", "SIMPLE_RADIAL"), ("0.png", model)]
+    assert not hasattr(new[0][1], "camera_params")
+    focal = [50, 50] if model == "OPENCV" else [50]
+    stated = [float(value) for value in new[1][1].camera_params.split(",")]
+    assert stated == [*focal, 20, 15, *[0] * (4 if len(focal) == 2 else 1)]
+    assert {reader.existing_camera_id for _, reader in lenses[2:]} == {8}

@@ -1,9 +1,14 @@
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pycolmap
 import pytest
 import torch
 
 from novags.cameras.align import align
+from novags.cameras.estimate import CameraEstimate
+from novags.cameras.motion.mapping import from_reconstruction
 from novags.cameras.motion.sfm import structure_from_motion
 from novags.cameras.points import fill, project
 from novags.cameras.sources.sfm import SfmConfig
@@ -196,3 +201,36 @@ def test_a_pycolmap_without_global_mapper_says_so(scene, monkeypatch):
         structure_from_motion(
             scene.pictures, scene.rig.Ks, as_dark(scene.pictures), n_points=50, config=SfmConfig(mapper="global")
         )
+
+
+def fake_image(name: str, center: float, lens: str, points: range) -> Any:
+    """A picture of a model in the classes of pycolmap, from (center, 0, 0) along z."""
+    pose = np.hstack([np.eye(3), [[-center], [0.0], [0.0]]])
+    camera = SimpleNamespace(model=SimpleNamespace(name=lens),
+                             calibration_matrix=lambda: np.array([[20.0, 0, 16], [0, 20, 12], [0, 0, 1]]))  # fmt: skip
+    return SimpleNamespace(
+        name=name, has_pose=True, camera=camera, cam_from_world=lambda: SimpleNamespace(matrix=lambda: pose),
+        points2D=[SimpleNamespace(point3D_id=i, has_point3D=lambda: True) for i in points],
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("lenses", [("PINHOLE", "SIMPLE_PINHOLE"), ("PINHOLE", "OPENCV"), ("OPENCV", "PINHOLE")])
+def test_points_are_added_in_every_view_and_every_lens_is_looked_at(lenses: tuple[str, str]) -> None:
+    """One picture shows a wall 2 away, the other one, from 40 beside, a wall 5 away."""
+    corners = [(x, y) for x in (-0.5, 0.5) for y in (-0.4, 0.4)]
+    walls = [(40 * k + x * z, y * z, z) for k, z in enumerate((2.0, 5.0)) for x, y in corners]
+    pictures = (fake_image(f"{k:06d}.png", 40.0 * k, lens, range(4 * k, 4 * k + 4)) for k, lens in enumerate(lenses))
+    model = SimpleNamespace(
+        images=dict(enumerate(pictures)),
+        points3D={i: SimpleNamespace(xyz=xyz) for i, xyz in enumerate(walls)}, num_points3D=lambda: 8,
+    )  # fmt: skip
+
+    def found() -> CameraEstimate:
+        return from_reconstruction(model, torch.rand(2, 24, 32, 3), 28, 0, what="COLMAP", kind="dark", advice="more")
+
+    if "OPENCV" in lenses:
+        with pytest.raises(ValueError, match="lenses must be pinholes, got OPENCV"):
+            found()
+        return
+    depths = found().points[:, 2]
+    assert [int((abs(depths - z) < 1e-3).sum()) for z in (2, 5)] == [14, 14]

@@ -82,3 +82,14 @@ def test_what_lies_outside_of_the_other_picture_does_not_correlate() -> None:
     assert np.isfinite(found[:, :11]).all()
     assert np.isneginf(found[:, 11:]).all()
     np.testing.assert_allclose(sweep._Windows.of(image).correlation(other, np.eye(3)), 1, atol=1e-3)
+
+
+def test_every_picture_of_a_wall_gets_a_map_of_its_distance() -> None:
+    """A wall 3 away, seen by three cameras 0.3 apart with a focal length of 40 px: its picture moves by 4 px."""
+    wall = np.random.default_rng(0).uniform(0, 1, (24, 40, 3)).astype(np.float32)
+    viewmats, Ks = np.tile(np.eye(4), (3, 1, 1)), np.tile([[40.0, 0, 16], [0, 40, 12], [0, 0, 1]], (3, 1, 1))
+    viewmats[:, 0, 3] = 0, -0.3, -0.6
+    found = sweep.sweep(np.stack([wall[:, k : k + 32] for k in (0, 4, 8)]), viewmats, Ks)
+    assert found is not None
+    assert found.views.tolist() == [0, 1, 2]
+    np.testing.assert_allclose(np.nanmedian(found.depth, (1, 2)), 3, rtol=0.02)

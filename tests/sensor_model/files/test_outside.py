@@ -6,6 +6,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -96,6 +97,25 @@ def test_a_row_of_another_kind_or_that_is_not_there_is_named_and_left_out(monkey
         rows["kind"]
     assert rows.get("none") is None  # as a row that is not there, for who can do without
     assert "none" in rows
+
+
+def test_all_rows_of_all_installed_packages_are_found_and_of_two_with_one_name_one_is_kept(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def point(package: str, name: str, value: str) -> SimpleNamespace:
+        return SimpleNamespace(name=name, value=value, dist=SimpleNamespace(name=package, version="1"))
+
+    points = {"novags.methods": [point("b", "two", "b.m:TWO"), point("b", "one", "b:ONE"), point("a", "one", "a:ONE")],
+              "novags.scenes": [point("b", "room", "b:ROOM"), point("b", "my room", "b:ROOM")]}  # fmt: skip
+    every = SimpleNamespace(select=lambda group: points.get(group, []))
+    monkeypatch.setattr(outside.metadata, "entry_points", lambda: every)
+    with pytest.warns(UserWarning, match="b 1 names a row") as warned:
+        found = outside._installed.__wrapped__()
+    rows = {group: {name: (row.origin.name, row.module, row.name) for name, row in of.items()}
+            for group, of in found.items()}  # fmt: skip
+    assert rows == {"novags.methods": {"one": ("a", "a", "ONE"), "two": ("b", "b.m", "TWO")},
+                    "novags.scenes": {"room": ("b", "b", "ROOM")}}  # fmt: skip
+    assert len(warned) == 2
 
 
 def test_a_worker_gets_files_by_content_under_the_same_name(tmp_path: Path) -> None:

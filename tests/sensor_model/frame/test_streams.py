@@ -46,6 +46,13 @@ def test_streams_are_uniform_and_uncorrelated():
         assert abs(np.corrcoef(pixel.ravel(), other.ravel())[0, 1]) < 5 / np.sqrt(n)
 
 
+def test_all_52_bits_of_a_uniform_number_are_random():
+    whole = (Draws(seed=1).uniforms((40, 50), streams.SHOT) * 2**52).astype(np.uint64).ravel()
+    bits = (whole[:, None] >> np.arange(52, dtype=np.uint64)) & np.uint64(1)
+    alike = np.corrcoef(bits.astype(float), rowvar=False) - np.eye(52)
+    assert np.abs(alike).max() < 5 / np.sqrt(whole.size)
+
+
 @pytest.mark.parametrize("bad", [{"seed": -1}, {"seed": 2**64}, {"seed": 0, "view": 2**32}, {"seed": 0, "frame": -1}])
 def test_indices_that_would_wrap_are_refused(bad):
     with pytest.raises(ValueError, match=r"must be in \[0"):

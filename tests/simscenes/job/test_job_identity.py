@@ -39,7 +39,7 @@ def other(rig: Rig = RIG, *, order: tuple[int, ...] = (0, 1, 2, 3), focal: float
 
 def test_a_digest_tells_cameras_sizes_and_settings_apart() -> None:
     rigs = [RIG, other(order=(1, 0, 2, 3)), other(focal=1.01), other(width=6, height=8), other(width=9)]
-    rigs += [other(order=(0, 1, 2))]
+    rigs += [other(order=(0, 1, 2)), other(height=9)]
     digests = [job_digest(config(), rig) for rig in rigs] + [job_digest(config(seed=1), RIG)]
     assert len(set(digests)) == len(digests)
     assert all(len(bytes.fromhex(digest)) == 32 for digest in digests)

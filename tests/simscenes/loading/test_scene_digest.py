@@ -73,6 +73,20 @@ def test_a_file_is_known_by_what_it_and_its_includes_say_not_by_where_it_lies(tm
     assert digest("a", "false") == digest("b", "false") != digest("c", "true")
 
 
+def test_the_letters_of_files_count_and_where_each_ends(tmp_path: Path) -> None:
+    """Rationale: wrap modes "repeat" and "mirror" are as long, and no number says which of them it is."""
+
+    def digest(*contents: str) -> str:
+        files = tuple(tmp_path / f"{i}.xml" for i in range(len(contents)))
+        for file, content in zip(files, contents, strict=True):
+            file.write_text(content)
+        return content_digest(files, {})
+
+    contents = [("repeat",), ("mirror",), ("rep", "eat"), ("repe", "at"), ("eat", "rep")]
+    assert len({digest(*each) for each in contents}) == len(contents)
+    assert digest("repeat") == digest("repeat")
+
+
 def test_two_files_with_exchanged_contents_are_another_scene(tmp_path: Path) -> None:
     """The scene file says the same, and all numbers are there as before, but at the other ball."""
     mi = activate()

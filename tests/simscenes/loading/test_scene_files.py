@@ -33,6 +33,8 @@ def file_of(folder: Path, *parts: str) -> Path:
         ([("volpath", {"max_depth": -1})], OwnIntegrator("volpath")),
         ([("path", {"max_depth": 100000, "rr_depth": math.inf})], OwnIntegrator("path")),
         ([("aov", {}), ("path", {"max_depth": 5})], OwnIntegrator("path", 5, lost=("type 'aov'",))),
+        ([("path", {"max_depth": 5}), ("stokes", {}), ("volpath", {"max_depth": 9})],
+         OwnIntegrator("path", 5, lost=("type 'stokes'",))),
         ([("direct", {"bsdf_samples": 3})], OwnIntegrator("direct", 2, lost=("bsdf_samples 3",))),
         ([("ptracer", {"max_depth": 6})], OwnIntegrator("ptracer", 6, lost=("type 'ptracer'",))),
         ([("path", {"max_depth": 1})],

@@ -16,6 +16,7 @@ CORNERS = [(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)]
 TRIANGLES = [(3, 0, 1, 2), (3, 0, 2, 3)]
 WHITE = '<emitter type="constant"><rgb name="radiance" value="1"/></emitter>'
 PICTURE = '<texture type="bitmap" name="{}"><string name="filename" value="t.png"/></texture>'
+RAW = PICTURE.replace("</texture>", '<boolean name="raw" value="true"/></texture>')
 CHECKS = '<texture type="checkerboard" name="{}"/>'
 MIRROR = '<transform name="to_world"><scale x="-1" y="1" z="1"/></transform>'
 
@@ -107,6 +108,21 @@ def test_values_of_a_mesh_that_a_material_cannot_use_are_refused_before_the_rend
         build_scene(scene(tmp_path, body), activate(), allow_outside=trusted)
 
 
+@pytest.mark.parametrize(("kind", "refused"), [(PICTURE, True), (RAW, False)])
+def test_a_picture_of_normals_that_is_read_as_colours_is_refused_with_the_line_to_add(
+    kind: str, refused: bool, tmp_path: Path
+) -> None:
+    """Where it is the same everywhere, Mitsuba refuses it in no variant of RGB."""
+    cv2.imwrite(str(tmp_path / "t.png"), np.full((8, 8, 3), (255, 128, 128), np.uint8))
+    bsdf = f'<bsdf type="normalmap">{kind.format("normalmap")}<bsdf type="diffuse"/></bsdf>'
+    file = scene(tmp_path, f'<shape type="rectangle">{bsdf}</shape>{WHITE}')
+    if not refused:
+        assert build_scene(file, activate()).shapes
+        return
+    with pytest.raises(ValueError, match=r'read as colours: .* add <boolean name="raw" value="true"/>'):
+        build_scene(file, activate())
+
+
 def test_a_lamp_of_colours_of_its_mesh_is_refused_since_it_would_light_nothing_rightly(tmp_path: Path) -> None:
     ply(tmp_path, vertex=RGB)
     radiance = '<texture type="mesh_attribute" name="radiance"><string name="name" value="vertex_color"/></texture>'
@@ -144,15 +160,14 @@ TEXTURED = {
     "opacity": f'<bsdf type="mask">{PICTURE.format("opacity")}<bsdf type="diffuse"/></bsdf>',
     "weight": f'<bsdf type="blendbsdf">{PICTURE.format("weight")}<bsdf type="diffuse"/><bsdf type="conductor"/></bsdf>',
     "base_color": f'<bsdf type="principled">{CHECKS.format("base_color")}</bsdf>',
-    "normalmap": f'<bsdf type="normalmap">{PICTURE.format("normalmap")}<bsdf type="diffuse"/></bsdf>',
+    "normalmap": f'<bsdf type="normalmap">{RAW.format("normalmap")}<bsdf type="diffuse"/></bsdf>',
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("slot", TEXTURED)
 def test_a_texture_needs_a_mesh_that_says_where_it_lies(slot: str, tmp_path: Path) -> None:
     mi = activate()
-    if slot not in ("normalmap",):  # with its texture coordinates all is well
-        assert build_scene(scene(tmp_path, square(TEXTURED[slot], True, tmp_path)), mi).shapes == ("m",)
+    assert build_scene(scene(tmp_path, square(TEXTURED[slot], True, tmp_path)), mi).shapes == ("m",)
     with pytest.raises(
         ValueError, match=f"mesh 'm' has no texture coordinates, and its {slot} is a texture that needs"
     ):

@@ -13,7 +13,8 @@ import pytest
 from sensor_model.files.door import VARIABLE, allow
 from sensor_model.files.python import python
 from simscenes.backend import activate
-from simscenes.loading.checks import trial
+from simscenes.loading import load
+from simscenes.loading.checks import trial, trial_process
 from simscenes.loading.checks.meshes import _placed_texture, check_faces, check_mesh_file
 from simscenes.loading.load import build_scene
 
@@ -296,3 +297,12 @@ def test_a_scene_is_tried_once_for_each_variant_version_content_and_choice_of_pa
     part = tmp_path / "other.xml"
     assert is_tried()
     assert not any(map(is_tried, ["rgb"]))
+
+
+def test_a_scene_is_tried_with_all_its_parameters(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def loaded(source: Any, *_: Any, **__: Any) -> Any:
+        raise ValueError(repr(source.parameters))
+
+    monkeypatch.setattr(load, "load_here", loaded)
+    said = trial_process._tried(tmp_path / "a.xml", activate().variant(), [["size", "2"], ["depth", "3"]], False)
+    assert said == "(('size', '2'), ('depth', '3'))"

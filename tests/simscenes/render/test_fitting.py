@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from simscenes import Rig, fit_rig
-from simscenes.backend import activate
-from simscenes.render.fitting import _middle_distance
+from simscenes.backend import activate, using_variant
+from simscenes.loading.load import build_scene
+from simscenes.render.fitting import _middle_distance, _rays
 from simscenes.rigs import invert_rigid
 
 Scene = dict[str, Any]
@@ -127,3 +128,13 @@ def test_in_free_space_the_arc_is_as_wide_as_asked_for(sweep: float, swing: floa
 def test_the_middle_distance_halves_the_squared_disparities() -> None:
     assert _middle_distance(np.array([1.0] + [10.0] * 50)) == 1.0  # 1 against 0.5
     assert _middle_distance(np.array([1.0] + [10.0] * 150)) == 10.0  # 1 against 1.5
+
+
+@pytest.mark.parametrize("variant", ["llvm_ad_rgb", "scalar_rgb"])
+def test_every_ray_finds_its_own_surface(variant: str) -> None:
+    with using_variant(variant):
+        mi = activate(variant)
+        ball = build_scene({"type": "scene", "ball": {"type": "sphere", "radius": 0.5}}, mi)
+        origins = np.array([[0.0, 0, 2], [0, 0, 3], [5, 0, 2]])
+        found = _rays(ball, mi, origins, np.tile([0.0, 0, -1], (3, 1)))
+    np.testing.assert_allclose(found, [1.5, 2.5, np.inf], rtol=1e-5)

@@ -12,6 +12,7 @@ from simscenes.backend import activate, using_variant
 from simscenes.camera import camera_color
 from simscenes.loading.load import LoadedScene, build_scene
 from simscenes.render.geometry import geometry_channels
+from simscenes.render.motion import subframe_rig
 from simscenes.render.radiance import MAX_FILM_SPP, RenderedView, RenderMethod, grid_spp, view_seed
 from simscenes.render.sensors import sensor_dict
 from simscenes.render.sequences import count_fireflies, summary
@@ -58,6 +59,17 @@ def test_the_noise_of_a_view_is_known_by_its_camera_its_size_the_seed_and_the_pa
     assert len(set(seeds)) == len(seeds)
     turned = replace(rig, viewmats=rig.viewmats[::-1], Ks=rig.Ks[::-1])
     assert view_seed(turned, 2, 7, 1, 2) == seeds[0]  # not by its place
+
+
+def test_a_view_in_motion_is_seen_from_every_place_of_its_exposure(ball_on_plane: Scene) -> None:
+    mi = activate()
+    integrator, rig = mi.load_dict({"type": "path"}), orbit_rig(5, 16, 12, 50.0, radius=3.0)
+    method = RenderMethod(
+        mi, mi.variant(), build_scene(ball_on_plane(), mi), integrator, optics=Optics(motion=0.4), subframes=4
+    )
+    sensors = RenderedView(method, rig, 2).sensors
+    found = [np.array(sensor.world_transform().matrix).reshape(4, 4)[:3, 3] for sensor in sensors]
+    np.testing.assert_allclose(found, subframe_rig(rig, 2, 0.4, 4).positions, atol=1e-5)
 
 
 def test_variance_estimate_equals_the_spread_over_many_seeds(ball_on_plane: Scene, view: Camera) -> None:

@@ -38,7 +38,8 @@ def png(file: Path, codes: np.ndarray, *chunks: bytes) -> Path:
 
 GAMMA = {value: chunk(b"gAMA", struct.pack(">I", round(value * 100_000))) for value in (1.0, 0.45455, 1 / 1.8)}
 SRGB = chunk(b"sRGB", b"\0")
-PQ, VIDEO, NARROW = (chunk(b"cICP", bytes(v)) for v in ((9, 16, 0, 1), (1, 1, 0, 1), (1, 13, 0, 0)))
+PQ, VIDEO, NARROW, YCC = (chunk(b"cICP", bytes(v)) for v in ((9, 16, 0, 1), (1, 1, 0, 1), (1, 13, 0, 0), (1, 13, 6, 1)))
+P3 = (0.5151, 0.2412, -0.0011), (0.2920, 0.6922, 0.0419), (0.1571, 0.0666, 0.7841)  # columns to XYZ at D50
 
 
 @pytest.mark.parametrize(("chunks", "encoded"), [((), 0), ((GAMMA[1.0],), 0), ((SRGB,), 1), ((GAMMA[0.45455],), 1),
@@ -59,6 +60,7 @@ def test_16_bits_are_light_unless_the_file_says_otherwise(
         ((GAMMA[1 / 1.8],), r"states another curve between codes and light than sRGB \(gAMA 0.55556\)"),
         ((PQ,), r"\(cICP, transfer 16, PQ\)"),
         ((NARROW,), r"codes of video, from 16 to 235 \(cICP, narrow range\)"),
+        ((YCC,), r"states brightness and differences of colours \(cICP, matrix 6\)"),
         ((chunk(b"acTL", struct.pack(">II", 3, 0)),), "is an animated PNG of 3 pictures, of which only the first"),
         ((chunk(b"CgBI", bytes(4)),), r"has the chunk 'CgBI' \(Apple's own form"),
         ((chunk(b"sTER", b"\0"),), r"has the chunk 'sTER' \(two pictures side by side\)"),
@@ -98,12 +100,41 @@ def test_profiles_say_the_curve_and_the_primaries(tmp_path: Path) -> None:
     PIL.Image.fromarray(CODES.astype(np.uint8)).save(tmp_path / "b.jpg", icc_profile=linear)
     with pytest.raises(ValueError, match=r"b\.jpg states linear codes \(a colour profile: the middle code is 0.500"):
         read_rgb(tmp_path / "b.jpg")
-    red = srgb.index(b"XYZ ", 132)
-    other = srgb.replace(srgb[red : red + 20], b"XYZ \0\0\0\0" + struct.pack(">3i", 33000, 16000, -70))
-    for profile, differs in ((srgb, False), (other, other != srgb)):
+    p3 = srgb
+    for name, column in zip((b"rXYZ", b"gXYZ", b"bXYZ"), P3, strict=True):
+        at = struct.unpack_from(">I", srgb, srgb.index(name) + 4)[0]
+        p3 = p3[: at + 8] + struct.pack(">3i", *(round(v * 65536) for v in column)) + p3[at + 20 :]
+    for profile, differs in ((srgb, False), (p3, True)):
         PIL.Image.fromarray(CODES.astype(np.uint8)).save(tmp_path / "c.jpg", icc_profile=profile)
         with header(tmp_path / "c.jpg") as image:
-            assert other_primaries(image) in (differs, False)
+            assert other_primaries(tmp_path / "c.jpg", image) == differs
+
+
+@pytest.mark.parametrize(("number", "differs"), [(1, False), (2, False), (9, True), (12, True)])
+def test_a_png_may_state_the_number_of_its_primaries(number: int, differs: bool, tmp_path: Path) -> None:
+    """By ITU-T H.273: 1 of sRGB, 2 not stated, 9 of BT.2020, 12 of Display P3."""
+    codes = CODES.astype(np.uint8)
+    file = png(tmp_path / "a.png", codes, chunk(b"cICP", bytes([number, 13, 0, 1])))
+    np.testing.assert_array_equal(read_rgb(file), codes)
+    with header(file) as image:
+        assert other_primaries(file, image) == differs
+
+
+@pytest.mark.parametrize("suffix", ["ppm", "pgm", "jp2"])
+def test_kinds_of_which_decoders_keep_8_bits_are_refused_with_more(suffix: str, tmp_path: Path) -> None:
+    """Rationale: cut to 8 bits, linear codes would be taken for sRGB-encoded ones."""
+    codes = np.repeat(np.repeat(CODES, 4, 0), 4, 1)
+    codes = codes[..., 1] if suffix == "pgm" else codes
+    cv2.imwrite(str(tmp_path / f"a.{suffix}"), codes)
+    with pytest.raises(ValueError, match=r"is a picture of codes up to 65535 in (PPM|JPEG2000), .* as PNG or TIFF"):
+        read_rgb(tmp_path / f"a.{suffix}")
+    low = (codes >> 8).astype(np.uint8)
+    cv2.imwrite(str(tmp_path / f"b.{suffix}"), low)
+    off = np.abs(read_rgb(tmp_path / f"b.{suffix}").astype(int) - (low[..., ::-1] if low.ndim == 3 else low[..., None]))
+    assert off.max() <= (60 if suffix == "jp2" else 0)  # which loses some
+    (tmp_path / "c.ppm").write_bytes(b"P6 # by a camera of 12 bits\n2 1\n4095\n" + bytes(12))
+    with pytest.raises(ValueError, match="is a picture of codes up to 4095 in PPM"):
+        read_rgb(tmp_path / "c.ppm")
 
 
 def test_pictures_behind_the_first_one_are_refused_unless_they_are_smaller(tmp_path: Path) -> None:
@@ -115,6 +146,11 @@ def test_pictures_behind_the_first_one_are_refused_unless_they_are_smaller(tmp_p
     for name in ("b.jpg", "c.webp"):
         with pytest.raises(ValueError, match=rf"{name} holds 2 pictures, of which only the first is read"):
             read_rgb(tmp_path / name)
+    first.save(tmp_path / "e.jpg", "MPO", save_all=True, append_images=[small, first, small])
+    whole = (tmp_path / "e.jpg").read_bytes()
+    (tmp_path / "e.jpg").write_bytes(whole[: whole.rindex(b"\xff\xd8\xff")])  # without the last one
+    with pytest.raises(ValueError, match=r"e\.jpg holds 4 pictures, of which only the first is read"):
+        read_rgb(tmp_path / "e.jpg")
     first.convert("CMYK").save(tmp_path / "d.jpg")
     with pytest.raises(ValueError, match=r"d\.jpg is a picture in CMYK"):
         read_rgb(tmp_path / "d.jpg")
@@ -194,6 +230,7 @@ EXR: dict[str, Any] = {"type": OpenEXR.scanlineimage}
         ),  # fmt: skip
         ({"acesImageContainerFlag": 1}, "colours of ACES"),
         ({"oiio:ColorSpace": "ACEScg"}, "states oiio:ColorSpace = 'ACEScg'"),
+        ({"pixelAspectRatio": 2.0}, r"pixels that are not square \(pixelAspectRatio 2\)"),
         ({"colorInteropID": "srgb_rec709_display"}, "states colorInteropID"),
         ({"dataWindow": (np.array([1, 1], np.int32), np.array([16, 12], np.int32))}, r"holds a part of its picture"),
     ],
@@ -245,3 +282,16 @@ def test_gray_pictures_are_not_taken_for_mosaics() -> None:
     several = [gray, RNG.poisson(gray / 100), RNG.integers(0, 255, (96, 128)), np.kron(gray, np.ones((2, 2))), rows,
                (gray > 1500) * 3000, np.full((96, 128), 7), np.zeros((8, 8))]  # fmt: skip
     assert not any(is_mosaic(np.asarray(picture)) for picture in several)
+
+
+@pytest.mark.parametrize(("share", "found"), [(0.005, False), (0.1, True)])
+def test_columns_of_one_camera_that_differ_by_half_a_percent_are_no_mosaic(share: float, found: bool) -> None:
+    """Light from 1000 to 3000 without noise: the pattern is sure, and is none of colour filters."""
+    gray = np.linspace(1000.0, 3000.0, 128)[:, None] * (1 + share * (np.arange(160) % 2))
+    assert is_mosaic(gray) is found
+
+
+def test_one_mosaic_among_several_pictures_is_none_of_all() -> None:
+    mosaic, gray = mosaic_of(textured(), 0.0, 4000), textured()[..., 1] * 4000
+    assert is_mosaic(mosaic)
+    assert not is_mosaic(mosaic, gray, gray)

@@ -11,6 +11,8 @@ import pytest
 from simscenes import load_set, orbit_rig, write_cameras
 from simscenes.rigs import Rig, intrinsics, opencv_to_opengl
 from simscenes.sets.geometry.tracks import SparsePoints
+from simscenes.sets.multiview import MultiviewSet
+from simscenes.sets.pictures.exr import write_exr
 
 
 def make_images(folder: Path, names: list[str], width: int, height: int) -> None:
@@ -298,3 +300,23 @@ def test_one_photograph_that_can_be_transparent_and_one_lens_that_distorts_are_e
     assert views.transparent
     assert views.lenses is not None
     assert [lens.distortion[0] for lens in views.lenses] == [0, 0.02, 0]
+
+
+def test_pictures_without_a_camera_are_found_beside_those_of_every_folder(tmp_path: Path) -> None:
+    rig, names = small_rig(2), ["one/a.png", "two/a.png"]
+    for folder in ("one", "two"):
+        make_images(tmp_path / folder, ["a.png", f"left_{folder}.png"], 40, 30)
+    transforms(tmp_path, rig, names, fl_x=30.0)
+    assert load_set(tmp_path).unregistered == ("one/left_one.png", "two/left_two.png")
+
+
+def test_light_of_a_rendered_view_has_all_its_colours(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    light = {name: rng.uniform(size=(30, 40)).astype(np.float32) for name in "RGB"}
+    (tmp_path / "gt").mkdir()
+    write_exr(tmp_path / "gt" / "a.exr", light)
+    views = MultiviewSet(path=tmp_path, names=("a",), rig=small_rig(1), kind="rendered", meta={}, files=())
+    np.testing.assert_array_equal(views.radiance(0), np.stack([light[name] for name in "RGB"], -1))
+    write_exr(tmp_path / "gt" / "a.exr", {"R": light["R"], "B": light["B"]})
+    with pytest.raises(ValueError, match="lacks the channels G: render the set again"):
+        views.radiance(0)

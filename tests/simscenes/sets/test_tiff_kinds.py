@@ -12,7 +12,7 @@ import tifffile
 
 from sensor_model.isp import to_srgb8
 from simscenes.sets.pictures.image_file import header, image_size, read_image, read_rgb
-from simscenes.sets.pictures.tiff import BITS, TAGS, tiff_tags
+from simscenes.sets.pictures.tiff import BITS, TAGS, like_pages, tiff_tags
 from tests.tiffs import write_tiff
 
 STORED = cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH
@@ -127,6 +127,13 @@ def pages(file: Path, *pictures: tuple[np.ndarray, int]) -> Path:
     return file
 
 
+def test_pages_are_alike_if_all_of_them_have_one_size_and_one_depth(tmp_path: Path) -> None:
+    page = codes(16, 1)
+    assert like_pages(pages(tmp_path / "a.tif", (page, 0), (page, 0), (page, 0))) == 3
+    for last in (page[:-1], codes(8, 1), codes(16, 3)):
+        assert like_pages(pages(tmp_path / "b.tif", (page, 0), (page, 0), (last, 0))) == 0
+
+
 @pytest.mark.parametrize("bits", [8, 16])
 def test_pages_are_refused_and_smaller_copies_left_out(bits: int, tmp_path: Path) -> None:
     """Rationale: of a stack of frames the first one was read, and of a thumbnail and its picture the thumbnail."""
@@ -145,6 +152,23 @@ def test_pages_are_refused_and_smaller_copies_left_out(bits: int, tmp_path: Path
         ValueError, match=r"a\.tif is a TIFF whose first picture is a smaller copy .*: save the picture"
     ):
         image_size(pages(tmp_path / "a.tif", (small, 1), (whole, 0)))
+
+
+@pytest.mark.parametrize("big", [False, True])
+def test_a_picture_below_the_first_one_is_refused_unless_it_is_smaller(big: bool, tmp_path: Path) -> None:
+    """Rationale: some cameras keep a preview first, and the picture itself below it; layers of editors lie so, too."""
+    whole, small = codes(8, 3), codes(8, 3)[::4, ::4].copy()
+    for first, below, refused in ((small, whole, True), (whole, whole, True), (whole, small, False)):
+        with tifffile.TiffWriter(tmp_path / "a.tif", bigtiff=big) as target:
+            target.write(first, photometric="rgb", subifds=1, metadata=None)
+            target.write(below, photometric="rgb", metadata=None)
+        if refused:
+            with pytest.raises(
+                ValueError, match=r"a\.tif is a TIFF of several pages, .*: save each as a file of its own"
+            ):
+                image_size(tmp_path / "a.tif")
+        else:
+            assert np.array_equal(read_rgb(tmp_path / "a.tif"), whole)
 
 
 def test_a_directory_that_names_itself_as_the_next_one_is_one_picture(tmp_path: Path) -> None:

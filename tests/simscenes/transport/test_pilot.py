@@ -40,6 +40,11 @@ def test_the_most_a_bounce_keeps_is_that_of_the_brightest_surface_seen_or_not(di
     hidden = {"type": "sphere", "center": [0, 0, -50], "bsdf": {"type": "diffuse", "reflectance": 0.9}}
     bitmap = {"type": "bitmap", "bitmap": mi.Bitmap(np.full((4, 4, 3), 0.95, np.float32)), "raw": True}
     textured = {"type": "sphere", "bsdf": {"type": "twosided", "b": {"type": "diffuse", "reflectance": bitmap}}}
+    front, back = ({"type": "diffuse", "reflectance": value} for value in (0.2, 0.8))
+    two, turned = ({"type": "sphere", "bsdf": {"type": "twosided", "a": a, "b": b}}
+                   for a, b in ((front, back), (back, front)))  # fmt: skip
+    for sides in (two, turned):
+        assert most_reflected(mi, build_scene(diffuse_box(s=sides), mi)) == pytest.approx(0.8)
     for more, most in (({}, 0.7), ({"h": hidden}, 0.9), ({"h": hidden, "t": textured}, 0.95)):
         assert most_reflected(mi, build_scene(diffuse_box(**more), mi)) == pytest.approx(most)
     fog = {"type": "homogeneous", "sigma_t": 0.1, "albedo": 0.99}

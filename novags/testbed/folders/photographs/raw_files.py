@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
 from novags.testbed.folders.photographs.dng_meaning import EVEN, read_dng
@@ -14,7 +15,7 @@ from sensor_model.files.door import PICTURE, admitted
 from sensor_model.files.reading import brief
 from sensor_model.isp import interpolate
 from sensor_model.params import CFAS, Cfa
-from simscenes.sets.pictures.mosaic import is_mosaic
+from simscenes.sets.pictures.mosaic import is_mosaic, is_shifted
 
 SUFFIXES = (".dng", ".nef", ".nrw", ".cr2", ".cr3", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw")
 CLIPPED = 0.5  # of the white level: pixels of many cameras are full at 0.8 to 1 of it
@@ -22,6 +23,8 @@ LOST = 0.01  # of the rows: where more of them repeat their first two codes, a p
 # Codes may be above the white level, where a camera saturates unevenly; many that are half as large again are of
 # another scale. Codes of no light scatter around the black level, by less than this share of the range.
 OVER, SOME, BELOW = 1.5, 0.02, 0.02
+DARK, SQUARE = 0.05, 8  # share of the squares of so many px that must not be below black: their means have little noise
+UNEVEN = 0.005  # of the range: what odd and even columns of a camera may differ by
 SEEN = 2048  # px in the middle that show whether filters are those that are stated
 IDENTITY = 1e-3  # files keep matrices as float32 and short fractions; the eye sees nothing of it
 
@@ -198,14 +201,18 @@ def read_digital_numbers(path: Path) -> np.ndarray:
 def _pattern(raw: Any, path: Path) -> Cfa | None:
     if raw.num_colors == 1:
         return None
-    pattern = raw.raw_pattern if len(raw.raw_pattern) > 2 else _part(raw.raw_colors, raw, path)[:2, :2]
-    letters = "".join(chr(raw.color_desc[i]) for i in np.ravel(pattern))
+    letters = _letters(raw, path)
     found = [cfa for cfa in CFAS if cfa == letters]
     if not found:
         raise ValueError(
             f"{path} has the colour filter array {letters!r}; supported are monochrome and {', '.join(CFAS)}"
         )
     return found[0]
+
+
+def _letters(raw: Any, path: Path) -> str:
+    pattern = raw.raw_pattern if len(raw.raw_pattern) > 2 else _part(raw.raw_colors, raw, path)[:2, :2]
+    return "".join(chr(raw.color_desc[i]) for i in np.ravel(pattern))
 
 
 def read_radiance(path: Path) -> np.ndarray:
@@ -311,7 +318,6 @@ def _check_whole(raw: Any, path: Path) -> None:
     codes = raw.raw_image_visible
     if codes is None or codes.shape[1] < 4:
         return
-    _check_codes(codes, raw, path)
     codes = codes if codes.ndim == 2 else codes[..., :3]  # LibRaw adds an empty fourth channel
     repeats = (codes[:, 2:] == codes[:, :-2]).reshape(len(codes), -1).all(1)
     pairs = codes[:, :2].reshape(len(codes), -1).astype(np.int64)
@@ -322,43 +328,56 @@ def _check_whole(raw: Any, path: Path) -> None:
     if lost > LOST * len(codes):
         raise ValueError(f"{path} holds no picture in the last {lost} of {len(codes)} rows, which repeat their first "
                          "codes: it is cut short or damaged, copy it again")  # fmt: skip
+    _check_codes(codes, raw, path)
 
 
 def _check_codes(codes: np.ndarray, raw: Any, path: Path) -> None:
-    """Refuse codes that do not fit what the file says of them: levels of another scale, filters of another pattern.
-
-    Raises:
-        ValueError: If they do not.
-    """
-    codes = codes[::3, ::3] if codes.ndim == 2 else codes[::3, ::3, :3]  # of every filter; all would take a second
-    white, black = float(raw.white_level), float(min(raw.black_level_per_channel))
+    """Raise ValueError if codes do not fit what the file says: levels of another scale, filters of another pattern."""
+    stated = None if (facts := read_dng(path)) is None else facts.black
+    whole = codes if codes.ndim == 2 else codes[..., :3]
+    codes = whole[::3, ::3]  # of every filter; all would take a second
+    white = float(raw.white_level)
+    black = float(min(raw.black_level_per_channel) if stated is None else stated.min())
     over = float((codes > OVER * white).mean())
     if over > SOME:
         raise ValueError(f"{path} states the white level {white:g}, and {over:.0%} of its codes are above {OVER:g} "
                          f"times that, up to {codes.max()}: they are probably shifted to the top of 16 bits, or the "
                          "level is of another camera; convert it again with the level that its codes have")  # fmt: skip
-    middle = float(np.median(codes))
-    if middle < black - BELOW * (white - black):
-        raise ValueError(f"{path} states the black level {black:g}, and half of its codes are at most {middle:g}: "
-                         "black is probably subtracted already, or stated in other units than the codes; convert it "
-                         "again with the level that its codes have")  # fmt: skip
-    if raw.num_colors > 1 and codes.ndim == 2 and _is_quad(raw, path):
+    if (dark := min(_darkest(whole[y::2, x::2]) for y in (0, 1) for x in (0, 1))) < black - BELOW * (white - black):
+        raise ValueError(f"{path} states the black level {black:g}, and {DARK:.0%} of the picture have at most "
+                         f"{dark:g}: black is probably subtracted already, or stated in other units than the codes; "
+                         "convert it again with the level that its codes have")  # fmt: skip
+    if raw.num_colors == 1 or codes.ndim != 2:
+        return
+    light = _without_black(raw, path)
+    if len(cfa := _letters(raw, path)) == 4 and is_shifted(light, cfa, UNEVEN * (white - black)):
+        raise ValueError(f"{path} states the filters {cfa}, and its two places of green differ over the whole picture, "
+                         "while red and blue are the same: they lie a row or a column beside, as where a program "
+                         "cropped or turned the picture; convert it again from the camera's own file")  # fmt: skip
+    if is_mosaic(*(light[y::2, x::2] for y in (0, 1) for x in (0, 1))):
         raise ValueError(f"{path} states a colour filter array of 2 x 2, and pixels behind the same filter differ with "
                          "a period of 4 pixels over the whole picture: it is probably of a Quad Bayer sensor, whose "
                          "filters are 4 x 4; let the camera write binned raw files, or demosaic it to LinearRaw or "
                          "16-bit RGB first")  # fmt: skip
 
 
-def _is_quad(raw: Any, path: Path) -> bool:
-    """Whether pixels behind filters of the same colour have a pattern of their own, beside their black levels."""
+def _darkest(codes: np.ndarray) -> float:
+    """The code of the darkest squares of a picture."""
+    size = max(1, codes.shape[1] // SQUARE), max(1, codes.shape[0] // SQUARE)
+    return float(np.quantile(cv2.resize(np.ascontiguousarray(codes), size, interpolation=cv2.INTER_AREA), DARK))
+
+
+def _without_black(raw: Any, path: Path) -> np.ndarray:
+    """The middle of a mosaic, from an even row and column on, above its black levels [h,w]."""
     whole = _part(raw.raw_image, raw, path)
     y, x = (np.arange(max(0, side - SEEN) // 4 * 2, min(side, (side + SEEN) // 2)) for side in whole.shape)
-    codes = whole[np.ix_(y, x)].astype(np.float64)
     facts = read_dng(path)
-    if facts is not None and facts.black is not None:
+    if facts is None or facts.black is None:
+        black = np.array(raw.black_level_per_channel, np.float64)[_part(raw.raw_colors, raw, path)[np.ix_(y, x)]]
+    else:
         rows, columns, _ = facts.black.shape
-        codes -= facts.black[..., 0][np.ix_(y % rows, x % columns)]
-    return is_mosaic(*(codes[y::2, x::2] for y in (0, 1) for x in (0, 1)))
+        black = facts.black[..., 0][np.ix_(y % rows, x % columns)]
+    return np.asarray(whole[np.ix_(y, x)] - black, np.float64)
 
 
 @contextmanager

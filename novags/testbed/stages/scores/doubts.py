@@ -18,6 +18,7 @@ class Doubts:
 
     squares: dict[str, list[float]] = field(default_factory=dict)
     grey: list[bool] = field(default_factory=list)
+    clear: bool = False
 
     def add(self, picture: ForeignPicture, truth: Image, *, linear: bool) -> None:
         """Look at the picture of a view.
@@ -29,6 +30,8 @@ class Doubts:
         """
         spread = float(np.ptp(truth, axis=-1).mean())
         self.grey.append(spread > SEEN and not np.ptp(picture.values, axis=-1).any())
+        self.clear = self.clear or picture.clear
+        self._weigh("exchanged", picture.values - truth, picture.values[..., ::-1] - truth)
         if not linear and picture.kind != "8-bit":
             self._weigh("linear", picture.values - truth, encode(picture.values) - truth)
 
@@ -55,6 +58,10 @@ class Doubts:
         if "distance" in meant:
             found.append("the channel Z fits far better as distance from the camera than as depth along its axis, as "
                          "which it is scored: write z-depth")  # fmt: skip
+        if "exchanged" in meant:
+            found.append("these pictures fit far better with red and blue exchanged: write red first")
+        if self.clear:
+            found.append("pixels of these pictures are transparent: they count as before white, as those of views do")
         if self.grey and all(self.grey):
             found.append("these pictures are grey and the views are not: scores count the missing colour as error")
         return found

@@ -14,7 +14,7 @@ from novags.testbed.folders.capture import RECORD, Capture, open_capture
 from novags.testbed.folders.exchanged import refuse_exchanged
 from novags.testbed.folders.imported import MISSING
 from novags.testbed.folders.references import LINEAR, true_depth
-from novags.testbed.folders.set import Source, open_source
+from novags.testbed.folders.set import Source, open_source, say_stated
 from novags.testbed.importing.pictures import ForeignPicture, find_renders, read_picture
 from novags.testbed.ledger.dry import NOT_DONE, planned
 from novags.testbed.metrics import missing, networks
@@ -152,6 +152,7 @@ def score_renders(
     with console.progress(f"score {folder.name}") as progress:
         for done, (i, name, picture) in enumerate(pictures()):
             views[name] = _view(picture, right := read(i), gain, asked)
+            say_stated(renders.files[name], folder, console)
             doubts.add(picture, right, linear=reference in LINEAR)
             if picture.depth is not None and (known := true_depth(truth.lit, i)) is not None:
                 doubts.add_depth(picture.depth, known, truth.lit.rig.Ks[i])

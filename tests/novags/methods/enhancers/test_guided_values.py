@@ -65,6 +65,23 @@ def test_epsilon_is_the_estimated_variance_of_each_image(monkeypatch, kind, esti
     np.testing.assert_allclose(params.epsilon, expected, rtol=1e-9)
 
 
+def test_epsilon_by_the_camera_is_of_each_image():
+    dark = torch.from_numpy(np.stack([textured(level=0.1), textured(level=0.3)]))
+    config = EnhanceConfig(window=5, noise_estimator="camera")
+    _, both = enhance(dark, config, noise=lambda light: 1e-4 + 0.01 * light)
+    alone = [enhance(image, config, noise=lambda light: 1e-4 + 0.01 * light)[1] for image in dark]
+    assert both.epsilon.tolist() == [float(each.epsilon) for each in alone]
+    assert both.epsilon[0] != both.epsilon[1]
+
+
+def test_typical_parameters_are_the_means_of_all():
+    given = [
+        EnhanceParams(gamma=torch.tensor(g), epsilon=torch.tensor(e), radius=4) for g, e in ((0.5, 2.0), (0.3, 1.0))
+    ]
+    found = guided.typical(given)
+    assert (float(found.gamma), float(found.epsilon), found.radius) == (pytest.approx(0.4), 1.5, 4)
+
+
 @pytest.mark.parametrize(
     ("size", "window", "radius"), [((20, 30), 9, 4), ((6, 30), 9, 2), ((30, 7), 9, 3), ((4, 4), 33, 1), ((9, 9), 1, 0)]
 )

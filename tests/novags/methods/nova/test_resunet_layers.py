@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from novags.methods.nova.denoiser_config import ResUNetConfig
+from novags.methods.nova.layers.normalise import normalised
 from novags.methods.nova.resunet import ResUNet, SqueezeExcite
 
 Weights = dict[str, np.ndarray]
@@ -134,6 +135,15 @@ def test_images_of_a_batch_do_not_meet():
     batch = torch.from_numpy(np.stack([image(8, 8), 0.3 * image(8, 8)[::-1]]))
     with torch.no_grad():
         torch.testing.assert_close(network(batch), torch.cat([network(batch[:1]), network(batch[1:])]))
+
+
+def test_a_map_that_is_constant_up_to_rounding_is_zero_beside_one_that_varies():
+    x = torch.linspace(-3, 3, 64).reshape(1, 1, 8, 8).repeat(3, 2, 1, 1)
+    x[1:, 1] = torch.tensor([0.1, -40.0])[:, None, None] * (1 + 1e-7 * x[0, 0])
+    y = normalised(x, 0.2)
+    assert not y[1:, 1].any()
+    assert y[0].any()
+    assert y[1:, 0].any()
 
 
 def test_the_papers_network_has_the_parameters_that_its_widths_call_for():

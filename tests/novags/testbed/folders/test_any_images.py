@@ -125,6 +125,17 @@ def test_distortion_of_linear_files_is_undone(tmp_path: Path) -> None:
     assert np.abs(bent.radiance(0) / straight.radiance(0) - 1).max() > 0.01
 
 
+def test_one_lens_that_distorts_is_enough(tmp_path: Path) -> None:
+    folder = photographs(tmp_path, ".exr")
+    content = json.loads((folder / "transforms.json").read_text())
+    content["frames"][1]["k1"] = 0.2
+    (folder / "transforms.json").write_text(json.dumps(content))
+    views = load_linear_set(folder)
+    assert views is not None
+    assert views.lenses is not None
+    assert [lens.distortion[0] for lens in views.lenses] == [0, 0.2, 0]
+
+
 def test_margins_around_the_picture_in_a_raw_file_are_cut_off_and_not_scaled(tmp_path: Path) -> None:
     """Rationale: raw files show more of the sensor than the pictures that poses are found with."""
     whole = load_linear_set(photographs(tmp_path / "a", ".dng"))

@@ -42,13 +42,14 @@ def test_each_place_has_its_own_black_level(tmp_path: Path) -> None:
         assert light[8:-8, 8:-8].std((0, 1)).max() < 0.001
 
 
-def test_black_levels_that_rise_from_row_to_row_are_followed(tmp_path: Path) -> None:
-    rise = np.linspace(0, 300, H)
-    file = write_dng(
-        tmp_path / "a.dng", mosaic_of(LIGHT, 200 + rise[:, None]), {50716: ("S", rise.tolist())}, black=[200]
-    )
+@pytest.mark.parametrize("axis", [0, 1])
+def test_black_levels_that_rise_from_row_to_row_or_column_to_column_are_followed(axis: int, tmp_path: Path) -> None:
+    rise = np.linspace(0, 300, (H, W)[axis])
+    black = 200 + np.expand_dims(rise, 1 - axis)
+    tags = {(50716, 50715)[axis]: ("S", rise.tolist())}
+    file = write_dng(tmp_path / "a.dng", mosaic_of(LIGHT, black), tags, black=[200])
     camera = raw_camera(file, None, "menon")
-    light = camera.develop(camera.codes(file))
+    light = np.moveaxis(camera.develop(camera.codes(file)), axis, 0)
     for part in (light[4:12], light[-12:-4]):
         np.testing.assert_allclose(part[:, 8:-8].mean((0, 1)), COLOUR, rtol=0.025)
 
@@ -114,7 +115,7 @@ def test_steps_that_readers_may_pass_over_are_said(tmp_path: Path) -> None:
             1023,
             "above 1.5 times that, .* probably shifted to the top of 16 bits",
         ),  # fmt: skip
-        (mosaic_of(LIGHT, 64.0, 1023), 4096, 16383, "half of its codes are at most .*: black is probably subtracted"),
+        (mosaic_of(LIGHT, 64.0, 1023), 4096, 16383, "5% of the picture have at most .*: black is probably subtracted"),
     ],
 )
 def test_codes_that_do_not_fit_their_file_are_refused(
@@ -122,6 +123,13 @@ def test_codes_that_do_not_fit_their_file_are_refused(
 ) -> None:
     with pytest.raises(ValueError, match=message):
         read_format(write_dng(tmp_path / "a.dng", codes, black=[black], white=white))
+
+
+@pytest.mark.parametrize(("tag", "count"), [(50714, 4), (50715, W), (50716, H)])
+def test_black_levels_that_are_no_numbers_are_refused(tag: int, count: int, tmp_path: Path) -> None:
+    levels = {50713: ("H", [2, 2]), tag: ("F", [1.0] * (count - 1) + [np.nan])}
+    with pytest.raises(ValueError, match="must state finite black levels"):
+        read_format(write_dng(tmp_path / "a.dng", mosaic_of(LIGHT, 500.0), levels, black=[500] * 4))
 
 
 def test_the_picture_is_where_the_crop_of_the_file_says(tmp_path: Path) -> None:

@@ -158,3 +158,27 @@ def test_codes_are_compared_with_the_least_of_the_stated_black_levels(tmp_path: 
     wrong = write_tags(tmp_path / "b.dng", codes - 480, {50713: ("H", [2, 2])}, black=[4000.0] * 4)
     with pytest.raises(ValueError, match="black is probably subtracted already"):
         read_digital_numbers(wrong)
+
+
+def test_a_black_level_above_the_dark_parts_of_a_picture_is_refused_and_noise_around_it_is_not(tmp_path: Path) -> None:
+    """Half of the picture is bright: it is the other half that tells."""
+    light = np.full((64, 96, 3), 0.3)
+    light[:, :48] = 0.02
+    file = write_tags(tmp_path / "a.dng", mosaic_of(light, 512), black=[1500.0])
+    with pytest.raises(ValueError, match="black level 1500, and 5% of the picture have at most .* subtracted already"):
+        read_digital_numbers(file)
+    noisy = np.random.default_rng(0).normal(1500, 400, (64, 96)).clip(0)
+    np.testing.assert_array_equal(
+        read_digital_numbers(write_tags(tmp_path / "b.dng", np.round(noisy), black=[1500.0])), np.round(noisy)
+    )
+
+
+@pytest.mark.parametrize("beside", [(0, 1), (1, 0)], ids=["a column", "a row"])
+def test_filters_that_lie_a_row_or_a_column_beside_are_refused(beside: tuple[int, int], tmp_path: Path) -> None:
+    """Magenta and green things alike: what red and blue show is the same, and what both places of green show is not."""
+    light = np.full((64, 96, 3), 0.2) * np.linspace(0.2, 1, 96)[:, None]
+    right = mosaic_of(light, 512)
+    np.testing.assert_array_equal(read_digital_numbers(write_tags(tmp_path / "a.dng", right, black=[512.0])), right)
+    moved = write_tags(tmp_path / "b.dng", np.roll(right, beside, (0, 1)), black=[512.0])
+    with pytest.raises(ValueError, match="states the filters RGGB, .* they lie a row or a column beside"):
+        read_digital_numbers(moved)

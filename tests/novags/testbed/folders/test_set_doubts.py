@@ -1,18 +1,30 @@
 """A COLMAP model whose cameras few points hold together is doubted when its folder is opened, not after the fit."""
 
+import contextlib
 import io
 import shutil
+import struct
+import zlib
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from novags.testbed import stages
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders.set import open_source
+from novags.testbed.stages.configs.capturing import CaptureConfig
+from novags.testbed.stages.configs.importing import ImportConfig
+from novags.testbed.stages.configs.posing import PosesConfig
+from sensor_model import PRESETS, Exposure, write_dng
+from simscenes import orbit_rig
 from simscenes.sets.geometry.tracks import SparsePoints
 from simscenes.sets.pictures.png import write_png
 from simscenes.sets.writers.camera_files import write_cameras
 from tests.miniatures import HEIGHT, RIG, VIEWS, WIDTH, lit_picture
+
+CAMERA = PRESETS["imx900-hcg"]
+NAMES_OF_RAW = ("0", "1", "2")
 
 
 def model(folder: Path, points: SparsePoints | None) -> Path:
@@ -50,3 +62,38 @@ def test_few_points_are_said_where_cameras_came_from_them(
     source = open_source(model(tmp_path / "set", points), Console(stream=stream))
     assert source.views.model() is not None
     assert ("few points hold the cameras together" in stream.getvalue()) == doubted
+
+
+def test_cameras_of_raw_files_are_doubted_as_those_of_pictures_are(tmp_path: Path) -> None:
+    stream = io.StringIO()
+    write_cameras(tmp_path, NAMES_OF_RAW, orbit_rig(3, 64, 48, 50.0, radius=3.0))
+    content = (tmp_path / "transforms.json").read_text()
+    for name in NAMES_OF_RAW:
+        codes = np.random.default_rng(0).integers(200, 900, (48, 64)).astype(np.uint16)
+        write_dng(tmp_path / "raw" / f"{name}.dng", codes, CAMERA, Exposure(time=0.01))
+        content = content.replace(f"images/{name}.png", f"raw/{name}.dng")
+    (tmp_path / "transforms.json").write_text(content)
+    (tmp_path / "nb-info.json").unlink(missing_ok=True)
+    open_source(tmp_path, Console(stream=stream))
+    assert "only 3 photographs have a camera" in stream.getvalue()
+    assert "3.dng" not in stream.getvalue()
+    assert "2 of 3 photographs are copies of another one (1.dng and 0.dng, 2.dng and 0.dng)" in stream.getvalue()
+
+
+@pytest.mark.parametrize("command", ["capture", "import", "poses"])
+def test_other_primaries_are_said_of_whichever_picture_states_them(command: str, tmp_path: Path) -> None:
+    """Poses leave pictures that state nothing, so that nobody could say it later."""
+    stream, folder = io.StringIO(), model(tmp_path / "set", None)
+    last = sorted((folder / "images").iterdir())[-1]
+    content, p3 = last.read_bytes(), b"cICP" + bytes([12, 13, 0, 1])
+    cut = content.index(b"IDAT") - 4
+    last.write_bytes(content[:cut] + struct.pack(">I", 4) + p3 + struct.pack(">I", zlib.crc32(p3)) + content[cut:])
+    console = Console(stream=stream)
+    with contextlib.suppress(ValueError):  # such small pictures find no place
+        if command == "capture":
+            stages.capture(folder, tmp_path / "out", CaptureConfig(sensor="ideal", electrons=100.0), console)
+        elif command == "import":
+            stages.import_photographs(folder, tmp_path / "out", ImportConfig(), console)
+        else:
+            stages.poses(tmp_path / "out", PosesConfig(photographs=folder / "images"), console)
+    assert "state colours of other primaries than those of sRGB (Display P3, say)" in stream.getvalue()

@@ -151,12 +151,13 @@ def test_folders_that_are_laid_out_otherwise_are_refused(tmp_path: Path) -> None
 LIGHT = np.random.default_rng(0).poisson(1200, (6, 48, 64)) + 64
 
 
-def write_stacks(folder: Path, save, change=lambda dn: dn, bits: int = 12) -> None:
+def write_stacks(folder: Path, save, change=lambda dn: dn, bits: int = 12, more: str = "") -> None:
     """A dark and a flat stack; `save` gets the folder of a stack and its codes [n,h,w]."""
     for name, codes in (("dark/0", LIGHT // 20), ("flat/0", LIGHT)):
         (folder / name).mkdir(parents=True)
-        save(folder / name, change(codes).astype(np.uint16))
-    lines = [f"bits = {bits}", *(f'[stacks."{name}"]\ntime = 1.0' for name in ("dark/0", "flat/0"))]
+        changed = change(codes)
+        save(folder / name, changed if changed.dtype == np.uint8 else changed.astype(np.uint16))
+    lines = [f"bits = {bits}", more, *(f'[stacks."{name}"]\ntime = 1.0' for name in ("dark/0", "flat/0"))]
     (folder / "frames.toml").write_text("\n".join(lines))
 
 
@@ -194,6 +195,12 @@ def one_npy(place: Path, codes: np.ndarray) -> None:
             12,
             r'behind .* colour filters; give cfa = "',
         ),
+        (
+            lambda dn: (dn // 16).astype(np.uint8),
+            12,
+            "hold 8 bits, and 12 are stated: the lowest were probably cut off",
+        ),
+        (lambda dn: dn[[0, 1, 0]], 12, "frames 1 and 3 of .*/flat/.* are the same, and light never is"),
     ],
 )
 def test_codes_that_do_not_fit_their_bits_are_refused_with_the_likely_cause(
@@ -202,6 +209,18 @@ def test_codes_that_do_not_fit_their_bits_are_refused_with_the_likely_cause(
     write_stacks(tmp_path, one_npy, change, bits)
     with pytest.raises(ValueError, match=message):
         read_frames(tmp_path)
+
+
+@pytest.mark.parametrize("said", ["RGGB", "BGGR", "GRBG", "GBRG"])
+def test_filters_that_are_said_a_row_or_a_column_beside_are_refused(said: str, tmp_path: Path) -> None:
+    """Behind RGGB, which codes alone do not tell from BGGR; green would be measured as red or blue."""
+    filters = np.tile([[0.5, 1.0], [1.0, 0.7]], (24, 32))
+    write_stacks(tmp_path, one_npy, lambda dn: 64 + (dn - 64.0).clip(0) * filters, more=f'cfa = "{said}"')
+    if said[0] != "G":
+        assert read_frames(tmp_path).cfa == said
+    else:
+        with pytest.raises(ValueError, match=f"behind the filters {said}, .* they lie a row or a column beside"):
+            read_frames(tmp_path)
 
 
 def pages(place: Path, codes: np.ndarray) -> None:

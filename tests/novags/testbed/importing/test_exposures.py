@@ -7,6 +7,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import OpenEXR
 import pytest
 from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
@@ -14,7 +15,7 @@ from PIL.TiffImagePlugin import IFDRational
 from novags.testbed import stages
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders.photographs.raw_files import read_digital_numbers
-from novags.testbed.importing.exposures import check_exposed_alike, stated_of
+from novags.testbed.importing.exposures import check_exposed_alike, exposure_doubts, stated_of
 from novags.testbed.importing.raw_camera import raw_camera
 from novags.testbed.importing.stored import Codes16, is_lossy
 from novags.testbed.stages.configs.capturing import CaptureConfig
@@ -63,6 +64,19 @@ def test_other_times_and_speeds_are_refused_by_name(tmp_path: Path) -> None:
         write_dng(tmp_path / f"{name}.dng", np.full((64, 64), 700, np.uint16), CAMERA, Exposure(time=time))
     with pytest.raises(ValueError, match=r"e\.dng states the exposure time 0\.1 s, d\.dng 0\.01: .* or give --time"):
         check_exposed_alike([tmp_path / "d.dng", tmp_path / "e.dng"])
+
+
+def test_photographs_that_a_camera_exposed_for_itself_are_said_from_four_times_on(tmp_path: Path) -> None:
+    first, unknown = jpeg(tmp_path / "a.jpg", (1, 30), 800), jpeg(tmp_path / "b.jpg")
+    balanced = jpeg(tmp_path / "c.jpg", (1, 240), 6400)  # a shorter time at a higher speed is the same exposure
+    assert exposure_doubts([first, unknown, balanced, jpeg(tmp_path / "d.jpg", (1, 30), 3200)]) == []
+    (note,) = exposure_doubts([first, unknown, balanced, jpeg(tmp_path / "e.jpg", (1, 10), 2400)])
+    assert "e.jpg got 9 times the exposure of " in note
+    light = {"RGB": np.ones((8, 8, 3), np.float32)}
+    for name, time in (("f", 0.5), ("g", 0.01)):
+        OpenEXR.File({"type": OpenEXR.scanlineimage, "expTime": time}, light).write(str(tmp_path / f"{name}.exr"))
+    (note,) = exposure_doubts([tmp_path / "f.exr", tmp_path / "g.exr"])
+    assert "f.exr got 50 times the exposure of g.exr" in note
 
 
 @pytest.fixture

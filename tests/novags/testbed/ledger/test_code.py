@@ -284,6 +284,12 @@ def test_all_that_any_definition_uses_counts_at_any_depth_and_nothing_else(
     assert tree("d", "h") == {"d": {"four", "five", "six"}, "h": {"star", "stripe"}}
 
 
+@pytest.mark.usefixtures("tree")
+def test_modules_of_every_package_of_a_root_are_followed() -> None:
+    found = reached(["sensor_model.files.records", "small_tree.c"])
+    assert {"small_tree.c", "small_tree.d"} <= set(found)
+
+
 def test_what_runs_when_any_of_the_imports_is_loaded_counts(tree: Callable[..., dict[str, set[str]]]) -> None:
     assert tree("e") == {"e": {"Y"}, "f": {"-", "register"}, "g": {"k"}}
 

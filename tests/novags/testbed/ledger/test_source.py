@@ -73,6 +73,8 @@ def test_changes_inside_a_formatted_string_count() -> None:
 def test_rows_of_a_table_neither_count_nor_lead_anywhere_but_named_functions_do() -> None:
     table = b"from pkg import Registry\nROWS: dict = Registry({'a': 'pkg.a:ROW'})\nBEST = 'a'\n"
     assert read(table) == read(table.replace(b"}", b", 'b': 'pkg.b:ROW'}"))
+    more = table + b"BOTH = Registry({'c': 'pkg.c:ROW'}), Registry({'d': 'pkg.d:ROW'})\n"
+    assert read(table) != read(more) == read(more.replace(b"'c'", b"'e'")) == read(more.replace(b"'d'", b"'f'"))
     assert read(table) != read(table.replace(b"BEST = 'a'", b"BEST = 'b'"))
     assert [(one.uses, one.reaches) for one in read(table).definitions] == [(("ROWS", "Registry"), ()), (("BEST",), ())]
     assert read(b"train = Later('pkg.a:train')\n").definitions[0].reaches == (("pkg.a", "train"),)

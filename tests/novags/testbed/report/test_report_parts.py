@@ -144,6 +144,19 @@ def test_the_spread_over_views_is_that_of_the_views() -> None:
     assert per_view({"methods": {"a": {"mean": {"enhanced": None}, "views": {}}}}, "enhanced") is None
 
 
+def test_every_method_has_its_own_spread_over_views() -> None:
+    methods = {name: {"mean": {"lit": {"psnr": 1}}, "views": {f"{k}": {"lit": {"psnr": v}} for k, v in enumerate(of)}}
+               for name, of in (("a", (20.0, 22.0)), ("b", (30.0, 36.0)), ("c", (25.0,)))}  # fmt: skip
+    found = per_view({"methods": methods}, "lit")
+    assert found is not None
+    assert found["methods"] == ["a", "b", "c"]
+    score = found["scores"]["psnr"]
+    assert score["values"] == [[20.0, 30.0, 25.0], [22.0, 36.0, None]]
+    assert score["spread"]["mean"] == [21.0, 33.0, 25.0]
+    assert score["spread"]["worst"] == [20.0, 30.0, 25.0]
+    assert score["spread"]["best"] == [22.0, 36.0, 25.0]
+
+
 def decoded(uri: str) -> np.ndarray:
 
     codes = cv2.imdecode(np.frombuffer(base64.b64decode(uri.partition(",")[2]), np.uint8), cv2.IMREAD_COLOR)

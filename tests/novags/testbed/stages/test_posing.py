@@ -108,13 +108,15 @@ def test_every_view_is_written_with_its_own_picture_and_doubted_by_its_own_name(
     rig = orbit_rig(3, 32, 24, 50.0, radius=3.0)
     lens = DistortedPinhole(K=rig.Ks[0], distortion=(0.0,) * 5)
     codes = [np.full((24, 32, 3), 40 * k, np.uint8) for k in range(5)]
-    bare: Any = [SimpleNamespace(pixels=lambda k=k: codes[k], size=(32, 24), turned=k in (1, 2), camera=k, focal=None)
-                 for k in range(5)]  # fmt: skip
+    files = [tmp_path / f"{name}.png" for name in "abcde"]
+    for k, file in enumerate(files):
+        picture(file, k % 4)  # the last one is a copy of the first
+    bare: Any = [SimpleNamespace(pixels=lambda k=k: codes[k], size=(32, 24), turned=k in (1, 2), camera=k, focal=None,
+                                 file=files[k]) for k in range(5)]  # fmt: skip
     points = np.random.default_rng(0).normal(0, 0.2, (6, 3))
     seen = [SimpleNamespace(points=np.arange(6), pixels=np.full((6, 2), 4.0), rays=np.zeros((6, 2))) for _ in range(3)]
     found: Any = SimpleNamespace(indices=[4, 0, 2], viewmats=rig.viewmats, lenses=[lens] * 3, points=points, seen=seen,
                                  error=0.5)  # fmt: skip
-    files = [tmp_path / f"{name}.png" for name in "abcde"]
     names = posing.write_set(tmp_path / "set", files, bare, found, (32, 24), "s")
     assert names == ["e", "a", "c"]
     for name, i in zip(names, found.indices, strict=True):
@@ -128,6 +130,7 @@ def test_every_view_is_written_with_its_own_picture_and_doubted_by_its_own_name(
     assert asked["seen"] == [6, 6, 6]
     assert "2 of 5 photographs are turned" in said
     assert "5 of 5 photographs are of another shape" in said
+    assert "1 of 5 photographs are copies of another one (e.png and a.png)" in said
 
 
 def test_cameras_and_points_are_turned_upright_together() -> None:

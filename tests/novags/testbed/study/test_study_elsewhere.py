@@ -156,6 +156,21 @@ def test_a_study_knows_finished_entries_by_their_seals_alone(
     assert elsewhere.known(plan, Remote(url), here) == {}
 
 
+@pytest.mark.parametrize(("gone", "left"), [("a", {"c"}), ("c", {"a"})])
+def test_an_entry_that_lacks_any_of_its_inputs_is_not_known(
+    make: Callable[..., dict[str, Any]], fake: ModuleType, tmp_path: Path, gone: str, left: set[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    monkeypatch.setattr(elsewhere, "depends", lambda task: {})
+    tasks, url = (fake.task("a"), fake.task("c"), fake.task("b", "a", "c")), f"memory://store{next(counter)}"
+    plan = StudyPlan(None, {task.key: task for task in tasks}, ())  # type: ignore[arg-type]
+    make("one", url, tasks)
+    assert set(elsewhere.known(plan, Remote(url), tmp_path / "here")) == {"a", "b", "c"}
+    fs, root = fsspec.core.url_to_fs(url)
+    fs.rm_file(f"{root}/run/{gone}/{SEAL}")
+    assert set(elsewhere.known(plan, Remote(url), tmp_path / "here")) == left
+
+
 def test_a_url_that_nothing_serves_is_one_line() -> None:
     with pytest.raises(ValueError, match="store nothing://x: .*scripts/setup cluster installs fsspec"):
         Remote("nothing://x")

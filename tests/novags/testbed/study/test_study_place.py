@@ -3,6 +3,7 @@
 import io
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NoReturn
 
 import numpy as np
@@ -121,3 +122,11 @@ def test_a_method_that_fails_costs_no_other_and_is_tried_again(tmp_path: Path, m
     assert [row["state"] for row in read_json(tmp_path / "results.json")["rows"]] == ["done", "done"]
     assert files(tmp_path / "naive", ".json") == done
     assert list(runs_in([tmp_path])) == ["broken", "naive"]
+
+
+def test_all_runs_of_a_folder_are_scored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scored: list[Path] = []
+    monkeypatch.setattr(stages, "score", lambda run, console: scored.append(run))
+    runs: Any = [SimpleNamespace(path=tmp_path / name) for name in ("a", "b", "c")]
+    place.score_all(tmp_path, runs, QUIET)
+    assert scored == [tmp_path / name for name in ("a", "b", "c")]

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -60,6 +61,17 @@ def test_the_box_for_cameras_shows_and_hides_those_of_the_method_too(runs: dict[
     session.panel.cameras.value = False
     session._show_estimated()
     assert not there
+
+
+def test_all_gaussians_of_the_method_before_are_taken_away(monkeypatch: pytest.MonkeyPatch) -> None:
+    removed: list[int] = []
+    session = object.__new__(Session)
+    session.nodes = [SimpleNamespace(remove=lambda k=k: removed.append(k)) for k in range(3)]
+    monkeypatch.setattr(Session, "shown", SimpleNamespace(scene=lambda name: None))
+    session.computing = nullcontext()  # type: ignore[assignment]
+    session.panel = SimpleNamespace(method=SimpleNamespace(value="naive"))  # type: ignore[assignment]
+    session._show_splats()
+    assert (removed, session.nodes) == ([0, 1, 2], [])
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 import json
 import math
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -277,6 +278,7 @@ REFUSED = [
     ("meshes/0/primitives/0/targets", [{"POSITION": 0}], r"meshes\[0\], primitives\[0\] sets 'targets'"),
     ("meshes/0/primitives/0/attributes/JOINTS_0", 0, r"primitives\[0\], attributes sets 'JOINTS_0'"),
     ("meshes/0/primitives/0/mode", 1, "floor is drawn in mode 1: triangles"),
+    ("meshes/0/primitives/0/extensions", {"KHR_draco_mesh_compression": {}}, "extensions sets 'KHR_draco_mesh_comp"),
     ("accessors/0/sparse", {"count": 1}, r"accessors\[0\] sets 'sparse'"),
     ("materials/0/extensions", {"KHR_materials_unlit": {}}, r"materials\[0\], extensions sets 'KHR_materials_unlit'"),
     (
@@ -286,7 +288,7 @@ REFUSED = [
     ),
     ("materials/0/extensions", {"KHR_materials_specular": {"specularFactor": 0.5}}, "KHR_materials_specular"),
     ("materials/0/alphaMode", "GLASS", "alphaMode must be one of"),
-    ("materials/0/pbrMetallicRoughness/baseColorFactor", [2, 0, 0, 1], r"baseColorFactor must be 4 numbers in 0\.\.1"),
+    ("materials/0/pbrMetallicRoughness/baseColorFactor", [0, 0, 2, 1], r"baseColorFactor must be 4 numbers in 0\.\.1"),
     ("materials/0/pbrMetallicRoughness/roughnessFactor", 1.5, r"roughnessFactor must lie in 0\.\.1, got 1.5"),
     ("extensionsRequired", ["KHR_draco_mesh_compression"], "requires the extension 'KHR_draco_mesh_compression'"),
     ("cameraRig", {"a": 1}, "t.glb sets 'cameraRig'"),
@@ -317,6 +319,8 @@ HARMLESS = [
     ("nodes/0/extras", {"anything": 1}), ("materials/0/occlusionTexture", {"index": 0}), ("skins", [{"joints": [0]}]),
     ("materials/0/extensions", {"KHR_materials_specular": {"specularFactor": 1}, "KHR_materials_ior": {"ior": 1.5}}),
     ("materials/0/doubleSided", True), ("meshes/0/primitives/0/mode", 4),
+    ("meshes/0/primitives/0/extensions", {"KHR_materials_variants": {"mappings": [{"material": 0, "variants": [0]}]}}),
+    ("extensions", {"KHR_materials_variants": {"variants": [{"name": "night"}]}, "KHR_xmp_json_ld": {"packets": []}}),
 ]  # fmt: skip
 
 
@@ -325,6 +329,20 @@ def test_what_changes_no_picture_is_let_pass(path: str, value: Any, tmp_path: Pa
     writer = floor(json.loads(json.dumps(LAMBERT)))
     change(path, value)(writer.content)
     assert build_scene(writer.write(tmp_path / "t.glb"), activate()).shapes == ("floor",)
+
+
+def test_a_lamp_that_wants_to_shine_from_both_sides_is_said_where_its_back_can_be_seen(tmp_path: Path) -> None:
+    lamp = {"emissiveFactor": [1, 1, 1], "doubleSided": True}
+    with pytest.warns(UserWarning, match="floor shines from its front alone"):
+        build_scene(floor(lamp).write(tmp_path / "a.glb"), activate())
+    writer = GltfWriter()
+    corners = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)], "<f4")
+    part = {"attributes": {"POSITION": writer.accessor(corners)}, "material": 0,
+            "indices": writer.accessor(np.array([0, 2, 1, 0, 1, 3, 0, 3, 2, 1, 2, 3], "<u2"))}  # fmt: skip
+    writer.content |= {"meshes": [{"primitives": [part]}], "materials": [lamp]}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        build_scene(writer.write(tmp_path / "b.glb"), activate())
 
 
 def test_animations_and_ranges_of_lamps_are_said(tmp_path: Path) -> None:

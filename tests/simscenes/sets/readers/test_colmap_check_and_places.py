@@ -154,9 +154,9 @@ def test_a_lens_of_colmap_that_is_no_pinhole_is_refused_by_name(kind: str, tmp_p
 
 
 def test_a_full_model_without_rational_terms_is_read_as_what_it_is(tmp_path: Path) -> None:
-    lenses = load_set(camera_of(tmp_path, "1 FULL_OPENCV 32 24 30 30 16 12 0.1 0.02 0.003 0.004 0 0 0 0")).lenses
+    lenses = load_set(camera_of(tmp_path, "1 FULL_OPENCV 32 24 30 30 16 12 0.1 0.02 0.003 0.004 0.05 0 0 0")).lenses
     assert lenses is not None
-    assert {lens.distortion for lens in lenses} == {(0.1, 0.02, 0.003, 0.004, 0.0)}
+    assert {lens.distortion for lens in lenses} == {(0.1, 0.02, 0.003, 0.004, 0.05)}
 
 
 def test_a_lens_of_colmap_that_folds_its_picture_is_refused_with_the_share(tmp_path: Path) -> None:

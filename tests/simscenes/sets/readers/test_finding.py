@@ -33,6 +33,8 @@ def test_case_is_overlooked_where_one_file_is_left_that_nobody_else_lists(tmp_pa
     assert find_files(folder, listed) == [
         folder / "Images/A.png", folder / "images/B.PNG", None, None, folder / "images/d.png", None
     ]  # fmt: skip
+    touched(tmp_path, "Images/Other/e.png", "images/Sub/e.png")
+    assert find_file(folder, "IMAGES/SUB/e.png") == folder / "images/Sub/e.png"
     assert find_file(folder / "images", "../iMAGES/a.png") == folder / "images/../Images/A.png"
     assert find_file(folder, "images/straße.png") is None
 
@@ -65,6 +67,11 @@ def test_pictures_in_another_folder_are_not_taken_and_are_said(tmp_path: Path) -
         "set/images/a.jpeg (images/a.png is there)",
         "images/c.png",
     ]
+
+
+def test_a_missing_picture_is_looked_for_elsewhere_though_the_first_is_there(tmp_path: Path) -> None:
+    folder, listed = touched(tmp_path, "a.png", "raw/b.png"), ["a.png", "b.png", "c.png"]
+    assert spelt(folder, listed, find_files(folder, listed)) == ["a.png", "b.png (raw/b.png is there)", "c.png"]
 
 
 def test_a_few_names_are_shown_on_one_line() -> None:

@@ -24,6 +24,8 @@ def ply(form: str, *, columns: str = "xyz rgb", before: bool = False, count: int
              "n": [(f"n{a}", order + "f4", "float") for a in "xyz"],
              "rgb": [(c, "u1", "uchar") for c in ("red", "green", "blue")],
              "rgb16": [(c, order + "u2", "ushort") for c in ("red", "green", "blue")],
+             "rgbf": [(c, order + "f4", "float") for c in ("red", "green", "blue")],
+             "rgbi": [(c, order + "i4", "int") for c in ("red", "green", "blue")],
              "dc": [(f"f_dc_{i}", order + "f4", "float") for i in range(3)], "": []}  # fmt: skip
     chosen = [column for word in columns.split() for column in kinds[word]]
     table = np.zeros(count, np.dtype([(name, kind) for name, kind, _ in chosen]))
@@ -52,7 +54,7 @@ def with_rows(rows: bytes) -> bytes:
 
 
 @pytest.mark.parametrize("form", ["ascii", "binary_little_endian", "binary_big_endian"])
-@pytest.mark.parametrize("columns", ["xyz rgb", "XYZ n rgb", "xyz n rgb16", "xyz dc"])
+@pytest.mark.parametrize("columns", ["xyz rgb", "XYZ n rgb", "xyz n rgb16", "xyz rgbf", "xyz rgbi", "xyz dc"])
 @pytest.mark.parametrize("before", [False, True])
 def test_points_and_colours_come_out_of_any_ply(form: str, columns: str, before: bool, tmp_path: Path) -> None:
     (tmp_path / "a.ply").write_bytes(ply(form, columns=columns, before=before))

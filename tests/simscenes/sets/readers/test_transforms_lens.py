@@ -73,6 +73,12 @@ def test_what_a_frame_states_of_its_focal_length_counts_before_all_that_the_file
     np.testing.assert_allclose(Ks[:, [0, 1], [0, 1]], [[fx, fy], [99, 88]], rtol=1e-12)
 
 
+def test_two_focal_lengths_of_a_later_frame_are_said_though_the_first_has_one(tmp_path: Path) -> None:
+    folder = folder_of(tmp_path, first={"fl_x": 33.0}, fl_x=60.0, camera_angle_x=X, w=WIDTH, h=HEIGHT)
+    with pytest.warns(UserWarning, match="states two focal lengths: fl_x gives 60 px, .*; fl_x counts"):
+        load_set(folder)
+
+
 def test_a_set_without_a_focal_length_is_told_every_key_that_would_do(tmp_path: Path) -> None:
     with pytest.raises(
         ValueError, match="none of fl_x, camera_angle_x, x_fov, fovx, fl_y, camera_angle_y, y_fov, fovy$"

@@ -16,7 +16,7 @@ from novags.methods.enhanced.enhance_then_fit import train
 from novags.methods.enhancers import ENHANCERS, located, recorded
 from novags.methods.enhancers.applying import enhanced, enhanced_like
 from novags.methods.enhancers.files.weights import digest_of
-from novags.methods.enhancers.networks.kind import Kind, crops
+from novags.methods.enhancers.networks.kind import Kind, crops, described
 from novags.methods.enhancers.networks.rehearsal import learned
 from novags.methods.enhancers.networks.rows.sci import SciConfig
 from novags.methods.enhancers.networks.rows.zero_dce import ZeroDceConfig
@@ -269,3 +269,11 @@ def test_a_checkpoint_of_another_network_is_refused_by_its_name(tmp_path):
 def test_all_files_of_weights_of_a_run_are_looked_for_in_its_folder():
     found = located({"enhancer": "x", "config": {"weights": ["a.h5", "b.h5"], "rate": 1}}, Path("run"))
     assert found == {"enhancer": "x", "config": {"weights": ["run/a.h5", "run/b.h5"], "rate": 1}}
+
+
+def test_a_record_names_every_file_of_weights(tmp_path: Path) -> None:
+    files = [tmp_path / name for name in ("a.pth", "b.pth", "c.pth")]
+    for file in files:
+        file.write_text(file.name)
+    assert described(files)["files"] == ["a.pth", "b.pth", "c.pth"]
+    assert described(files)["digest"] != described(files[:1])["digest"]

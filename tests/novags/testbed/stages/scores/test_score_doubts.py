@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from novags.testbed.importing.pictures import ForeignPicture, find_renders
+from novags.testbed.importing.pictures import ForeignPicture, find_renders, read_picture
 from novags.testbed.stages.scores.doubts import Doubts
 from sensor_model import srgb_to_linear
 from simscenes.sets.pictures.png import write_png
@@ -44,6 +44,22 @@ def test_pictures_that_are_meant_as_they_are_read_raise_no_doubt() -> None:
 def test_grey_pictures_of_coloured_views_are_said() -> None:
     (note,) = notes(np.repeat(LIT[..., 1:2], 3, -1), "8-bit")
     assert "these pictures are grey and the views are not" in note
+
+
+def test_exchanged_colours_are_said() -> None:
+    (note,) = notes(LIT[..., ::-1] + NOISE, "8-bit")
+    assert "far better with red and blue exchanged" in note
+    grey = np.repeat(LIT[..., 1:2], 3, -1)
+    assert not any("exchanged" in said for said in notes(grey, "8-bit"))
+
+
+def test_transparent_pixels_are_said(tmp_path: Path) -> None:
+    opaque, clear = np.dstack([LIT, np.ones(LIT.shape[:2])]), np.dstack([LIT, np.full(LIT.shape[:2], 0.9)])
+    for name, pixels, said in (("a", opaque, []), ("b", clear, ["pixels of these pictures are transparent"])):
+        write_png(tmp_path / f"{name}.png", pixels)
+        doubts = Doubts()
+        doubts.add(read_picture(tmp_path / f"{name}.png", 32, 24), LIT, linear=False)
+        assert [note[:40] for note in doubts.notes("lit")] == said
 
 
 def test_a_distance_in_the_channel_of_depth_is_said() -> None:

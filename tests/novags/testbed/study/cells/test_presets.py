@@ -241,6 +241,12 @@ def test_one_seed_reaches_every_stage_of_an_experiment(tmp_path: Path) -> None:
     assert command.seed == 7
 
 
+def test_every_program_of_an_experiment_is_found_by_its_name(tmp_path: Path) -> None:
+    programs = tuple(CommandConfig(name=name, command="true {capture} {out}", folder=tmp_path) for name in "xyz")
+    preset = replace(EXPERIMENTS["demo"], commands=programs)
+    assert [getattr(preset.command(name), "name", None) for name in ("x", "y", "z", "naive")] == ["x", "y", "z", None]
+
+
 def test_the_seed_of_photographs_reaches_their_cameras(tmp_path: Path) -> None:
     found = adapted(EXPERIMENTS["demo"], photos=tmp_path, seed=7)
     assert found.photos is not None

@@ -252,6 +252,7 @@ WRONG: dict[str, tuple[str, str]] = {
         "[grid]\nelectrons=[1, 5]\n[[exclude]]\nelectrons=true", "1: electrons: True is not among its values in [grid]"
     ),
     "exclude nothing": ("[grid]\nelectrons=[5]\n[[exclude]]\nelectrons=[]", "1: electrons has no values"),
+    "after a good key": ("[override]\nviews = 12\n[grid]\nspp = [1]", "[grid] spp: spp must be >= 2"),
     "exclude shape": ("exclude = 3", "[[exclude]]: each must be a table"),
     "nothing left": ("[grid]\nelectrons=[5]\n[[exclude]]\nelectrons=5", "[[exclude]]: nothing is left to run"),
     "too many": (f"[grid]\nseed={list(range(400))}\nelectrons={list(range(1, 400))}", "[grid]: 159600 combinations"),

@@ -75,6 +75,8 @@ def test_the_curves_of_other_subjects_stay_in_the_file(made: Any, tmp_path: Path
     write_curves(tmp_path, other)
     write_curves(tmp_path, points[:3])
     assert read_curves(tmp_path) == other + points[:3]
+    write_curves(tmp_path, points + other)  # of two subjects, both of which are there
+    assert read_curves(tmp_path) == points + other
 
 
 @pytest.mark.parametrize(

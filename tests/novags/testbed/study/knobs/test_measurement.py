@@ -1,5 +1,6 @@
 """Claims about one measurement: which setting of which knob it measures, with which seed, on what."""
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -7,6 +8,7 @@ from typing import Any
 import pytest
 
 from novags.testbed.console.terminal import Console
+from novags.testbed.study.cells.presets import EXPERIMENTS
 from novags.testbed.study.knobs import measurement, options
 from novags.testbed.study.knobs.knob import Knob, Reading, Subject
 from novags.testbed.study.knobs.measurement import Measurement, measure
@@ -79,3 +81,9 @@ def test_an_option_has_the_value_of_the_first_method_that_has_it_open(
     ]
     assert options._first([plans[k] for k in order], "fit.iterations") == 7
     assert options._first(plans[:2], "fit.iterations") is None
+
+
+def test_an_option_is_there_where_any_method_has_it() -> None:
+    demo = EXPERIMENTS["demo"]
+    assert "denoiser_steps" not in options.values(replace(demo, methods=("naive",)))
+    assert options.values(replace(demo, methods=("naive", "nova")))["denoiser_steps"] > 0

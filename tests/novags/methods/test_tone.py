@@ -1,4 +1,4 @@
-"""The curve between tones and light."""
+"""The curve between tones and light, and the response of a camera."""
 
 import math
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from novags.methods.tone import BRIGHTEST, KNEE, ToneCurve, median_light, tone_curve
+from novags.methods.tone import BRIGHTEST, KNEE, ResponseTable, ToneCurve, median_light, tone_curve
 
 CURVE = ToneCurve(top=0.3, k=5.0)
 
@@ -73,3 +73,12 @@ def test_pictures_without_light_are_refused() -> None:
 def test_a_curve_that_is_none_is_refused(top: float, k: float) -> None:
     with pytest.raises(ValueError, match="top and k must be > 0 and finite"):
         ToneCurve(top, k)
+
+
+def test_a_response_is_straight_between_its_codes_and_keeps_the_outer_ones_beyond_them() -> None:
+    table = ResponseTable(faint=0.5, low=-0.5, high=1.5, values=(0.1, 0.2, 0.7))
+    logs = torch.tensor([-0.6, -0.5, 0.0, 0.5, 1.25, 1.5, 2.0], dtype=torch.float64)
+    want = torch.tensor([0.1, 0.1, 0.15, 0.2, 0.575, 0.7, 0.7], dtype=torch.float64)
+    torch.testing.assert_close(table.codes(logs.exp() - 0.5), want)
+    darkest = table.codes(torch.tensor([-3.0, 0.0], dtype=torch.float64))  # negative radiance is black: ln 0.5
+    assert darkest[0] == darkest[1]
