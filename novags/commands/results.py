@@ -176,13 +176,15 @@ def characterise(
             be made, or made again. Nothing is written.
     """
     from novags.numbers import SIDE, check_range
+    from novags.testbed.console.terminal import warnings_as_notes
     from novags.testbed.importing.calibration_frames import characterise_folder
     from novags.testbed.ledger.dry import planned
     from sensor_model.files.camera_file import write_sensor
 
     check_range("window", window, 2, SIDE, " px")
     with writing(out.parent, wait, name=f".{out.name}.lock", dry_run=dry_run) as console:
-        sensor, found = characterise_folder(folder, window=window)
+        with warnings_as_notes(console):
+            sensor, found = characterise_folder(folder, window=window)
         comment = f"measured from {os.path.basename(os.path.realpath(folder))}; what the frames say:\n{found}"
         write_sensor(out, sensor, comment=comment, overwrite=overwrite)
         planned(console, "characterise", [out])

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from novags.cameras.doubts import camera_doubts, few_views, lens_doubts, same_photographs
-from novags.cameras.matching import picture_doubts
 from novags.numbers import SSIM_WINDOW
 from novags.testbed.console.terminal import Console, warnings_as_notes
 from novags.testbed.folders.exchanged import refuse_exchanged
@@ -43,6 +42,7 @@ NOISE = 0.01  # of a photograph's bright light: values further below 0 are not n
 
 # Modules that photographs need and no rendered set, beside `READERS`.
 PHOTOGRAPHS: Registry[Callable[..., Any]] = Registry({
+    "matching": "novags.cameras.matching:picture_doubts",
     "linear files": "novags.testbed.folders.photographs.linear:load_linear_set",
     "noise": "novags.methods.noise_estimate:noise_from",
 })  # fmt: skip
@@ -116,7 +116,8 @@ class Source:
         views = self.views
         if _is_own(views.path) or is_raw(views.files[0]):
             return []
-        return picture_doubts(views.names, views.rig.viewmats, views.rig.Ks, views.image)
+        found: list[str] = PHOTOGRAPHS["matching"](views.names, views.rig.viewmats, views.rig.Ks, views.image)
+        return found
 
     def radiance(self, i: int) -> np.ndarray:
         """Linear RGB of view `i`, averaged over each larger pixel where the source is scaled down.

@@ -5,6 +5,7 @@ to the top, or stretch them: each code then stands for 16, and a camera with 12 
 """
 
 import hashlib
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from simscenes.sets.pictures.mosaic import is_mosaic, is_shifted
 
 MOST = 2  # frames of each stack that are looked at
 UNEVEN = 0.005  # of the range: what odd and even columns of a camera may differ by
+ROUNDED = 0.98  # of a frame in two codes: noise of .24 DN and less, which EMVA 1288 calls too small to measure
 ENOUGH = 32  # different codes: a light of fewer electrons than codes to an electron may leave gaps
 
 
@@ -62,10 +64,20 @@ def check_codes(stacks: Mapping[str, Stack], cfa: str, bits: int, folder: Path) 
         if name.startswith("flat/") and (first := _first_copy(stack.frames)) is not None:
             raise ValueError(f"frames {first[0] + 1} and {first[1] + 1} of {folder / name} are the same, and light "
                              "never is: remove the copies, which would count as frames without noise")  # fmt: skip
+    darkest = max(_in_two_codes(stack.frames[0]) for name, stack in stacks.items() if name.startswith("dark/"))
+    if darkest > ROUNDED:
+        warnings.warn(f"{darkest:.1%} of a dark frame of {folder} are of two codes: its noise is below a code, so that "
+                      "read noise and DSNU are those of rounding, and the gain is off by some per cent; give frames "
+                      "with more bits, or of a higher gain", stacklevel=3)  # fmt: skip
     if cfa == "none":
         _refuse_mosaic(stacks, folder)
     else:
         _refuse_shifted(stacks, cfa, bits, folder)
+
+
+def _in_two_codes(frame: np.ndarray) -> float:
+    """The share of pixels that have one of the two commonest codes."""
+    return float(np.sort(np.unique(frame, return_counts=True)[1])[-2:].sum() / frame.size)
 
 
 def _first_copy(frames: np.ndarray) -> tuple[int, int] | None:

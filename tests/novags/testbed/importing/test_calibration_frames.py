@@ -1,5 +1,6 @@
 """Claims about cameras measured from folders of frames: the simulated camera that took them is found again."""
 
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -209,6 +210,17 @@ def test_codes_that_do_not_fit_their_bits_are_refused_with_the_likely_cause(
     write_stacks(tmp_path, one_npy, change, bits)
     with pytest.raises(ValueError, match=message):
         read_frames(tmp_path)
+
+
+@pytest.mark.parametrize(("read_noise", "said"), [(0.1, True), (0.2, True), (0.5, False), (3.0, False)])
+def test_noise_below_a_code_is_said(read_noise: float, said: bool, tmp_path: Path) -> None:
+    """In DN, at a black level whose noise falls on two codes."""
+    noise = np.random.default_rng(0).normal(64.5, read_noise, LIGHT.shape)
+    write_stacks(tmp_path, one_npy, lambda dn: np.floor(noise) if dn.mean() < 100 else dn)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        read_frames(tmp_path)
+    assert ["its noise is below a code" in str(w.message) for w in caught] == [True] * said
 
 
 @pytest.mark.parametrize("said", ["RGGB", "BGGR", "GRBG", "GBRG"])
