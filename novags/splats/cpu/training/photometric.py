@@ -199,7 +199,7 @@ def _window(a, b, c, d, e, f, g, h, i, j, k, w):
 
 @inline
 def _join(rows, start, planes, length, channels):
-    """Neighbours beyond both ends of dealt rows: the first vectors of the next lane, the last ones of the one before."""
+    """Both neighbours of dealt rows: the first vectors of the next lane, the last ones of the lane before."""
     plane, side, size = _sizes(length, channels)[1], HALF_WINDOW * channels * LANES, length * LANES
     for first in range(start + side, start + side + planes * plane, plane):
         for at in range(first, first + side, LANES):
