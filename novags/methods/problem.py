@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol, TypeVar, get_args
+from typing import Generic, Protocol, TypeVar, get_args
 
 import numpy as np
 import torch
@@ -16,6 +16,33 @@ from sensor_model.isp import linear_to_srgb
 from sensor_model.params import Cfa
 
 Result = TypeVar("Result")
+
+
+class AtFirstUse(Generic[Result]):
+    """A field of a dataclass that may be given as a function: it is called when the field is first read.
+
+    Fifty views of 1 Mpx are 600 MB, and most methods look at one kind of pictures alone.
+    """
+
+    def __init__(self, *default: Result) -> None:
+        self.default = default
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.key = f"_{name}"
+
+    def __get__(self, instance: object, owner: type) -> Result:
+        if instance is None:  # the dataclass asks for the default of the field
+            if not self.default:
+                raise AttributeError(self.key)
+            return self.default[0]
+        value = vars(instance)[self.key]
+        if callable(value):
+            value = vars(instance)[self.key] = value()
+        found: Result = value
+        return found
+
+    def __set__(self, instance: object, value: Result | Callable[[], Result]) -> None:
+        vars(instance)[self.key] = value
 
 
 class Start(Protocol):
@@ -42,7 +69,8 @@ class RawPictures:
     """The sensor's own numbers.
 
     Attributes:
-        dn: Digital numbers, float32, [C, H, W] behind a colour filter array or [C, H, W, 3] of three chips.
+        dn: Digital numbers, float32, [C, H, W] behind a colour filter array or [C, H, W, 3] of three chips. May be
+            given as a function (`AtFirstUse`).
         cfa: Colour filter array ("RGGB", ...); None for three chips.
         black: DN without light.
         white: DN of saturation.
@@ -51,7 +79,7 @@ class RawPictures:
         matrix: [3, 3] from white-balanced camera RGB to linear sRGB; None: the identity.
     """
 
-    dn: Tensor
+    dn: AtFirstUse[Tensor] = AtFirstUse()
     cfa: Cfa | None
     black: float
     white: float
@@ -88,7 +116,7 @@ class Problem:
         seed: Of every random choice.
         srgb8: The 8-bit pictures, sRGB-encoded, float32 [C, H, W, 3] in 0..1.
         linear16: The 16-bit pictures, linear RGB, float32 [C, H, W, 3], 0 = black, 1 = white, not clipped at black;
-            None without them.
+            None without them. May be given as a function (`AtFirstUse`).
         raw: The raw frames, or None.
         noise: Variance of each datum as a function of its mean: from the camera where it is known, else estimated from
             the pictures (`noise_estimate.noise_of` chooses); None if neither is possible.
@@ -112,7 +140,7 @@ class Problem:
     start: Start
     seed: int
     srgb8: Tensor
-    linear16: Tensor | None = None
+    linear16: AtFirstUse[Tensor | None] = AtFirstUse(None)
     raw: RawPictures | None = None
     noise: Noise | None = None
     channels_share: tuple[str, ...] = ()
@@ -128,8 +156,8 @@ class Problem:
     def __post_init__(self) -> None:
         want = (len(self.views), self.views.height, self.views.width, 3)
         for name in ("srgb8", "linear16", "clean", "clean_demosaiced"):
-            value = getattr(self, name)
-            if value is not None and value.shape != want:
+            value = vars(self)[f"_{name}" if name == "linear16" else name]
+            if isinstance(value, Tensor) and value.shape != want:
                 raise ValueError(f"{name} must be [C, H, W, 3] = {list(want)} like the views, got {list(value.shape)}")
         if not self.names:
             object.__setattr__(self, "names", tuple(f"{i:04d}" for i in range(len(self.views))))

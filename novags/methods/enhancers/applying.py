@@ -18,10 +18,10 @@ from novags.methods.problem import Problem, encode
 def enhanced(problem: Problem, config: Enhancement, pictures: Pictures) -> Tensor:
     """The enhanced pictures of a problem [C, H, W, 3]; made once for all methods that share them."""
     dark = problem.encoded(pictures)
-    views = zip(problem.names, dark, strict=True)
-    return torch.stack(
-        [enhanced_view(problem.shared, name, view, config, pictures, problem.noise)[0] for name, view in views]
-    )
+    found = torch.empty_like(dark)
+    for view, name in enumerate(problem.names):
+        found[view] = enhanced_view(problem.shared, name, dark[view], config, pictures, problem.noise)[0]
+    return found
 
 
 def enhanced_clean(problem: Problem, config: Enhancement, pictures: Pictures, *, demosaiced: bool = False) -> Tensor:

@@ -115,7 +115,7 @@ def prepare(capture: Capture, source: Source, config: ReconstructConfig, console
         start=estimate,
         seed=config.seed,
         srgb8=stacked(capture.srgb8, indices),
-        linear16=stacked(capture.linear16, indices) if capture.holds("images16") else None,
+        linear16=partial(stacked, capture.linear16, indices) if capture.holds("images16") else None,
         raw=raw_pictures(capture, indices) if capture.holds("raw") else None,
         noise=capture.noise,
         channels_share=capture.channels_share,
@@ -165,7 +165,7 @@ def raw_pictures(capture: Capture, indices: list[int]) -> RawPictures:
     cfa, black, white = capture.levels
     balance, matrix = capture.color
     return RawPictures(
-        dn=stacked(capture.raw, indices), cfa=cfa, black=black, white=white, balance=balance, matrix=matrix
+        dn=partial(stacked, capture.raw, indices), cfa=cfa, black=black, white=white, balance=balance, matrix=matrix
     )
 
 

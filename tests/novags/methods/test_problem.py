@@ -167,3 +167,27 @@ def test_pictures_are_stacked_in_the_order_asked_for_each_read_once():
     assert found.dtype == torch.float32
     assert np.array_equal(found.numpy(), pictures[[3, 0, 2]])
     assert read == [3, 0, 2]
+
+
+def test_pictures_that_a_method_does_not_look_at_are_not_read():
+    read = []
+
+    def pictures() -> torch.Tensor:
+        read.append("linear16")
+        return torch.rand(2, 4, 6, 3)
+
+    def frames() -> torch.Tensor:
+        read.append("raw")
+        return torch.rand(2, 4, 6, 3)
+
+    given = problem(linear16=pictures, raw=RawPictures(dn=frames, cfa=None, black=0.0, white=1.0))
+    assert given.encoded("8bit").shape == (2, 4, 6, 3)
+    assert given.raw.cfa is None
+    assert read == []
+    assert torch.equal(given.linear16, given.linear16)
+    assert read == ["linear16"]
+    assert torch.equal(given.raw.dn, given.raw.dn)
+    assert read == ["linear16", "raw"]
+    assert problem().linear16 is None
+    with pytest.raises(TypeError, match="dn"):
+        RawPictures(cfa=None, black=0.0, white=1.0)
