@@ -23,6 +23,8 @@ def brief(found: object, length: int = 300) -> str:
 
     Others, such as ESC, are shown as Python writes them: a terminal would obey them.
     """
+    if isinstance(found, Exception) and found.args and isinstance(found.args[0], bytes):  # LibRaw's words
+        found = found.args[0].decode("ascii", "replace")
     text = printable(" ".join(str(found).split()))
     return text if len(text) <= length else f"{text[: length - 4]} ..."
 

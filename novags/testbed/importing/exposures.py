@@ -1,6 +1,7 @@
 """Whether photographs were exposed alike, as their files state it."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 
 from novags.testbed.folders.photographs.raw_files import is_raw, read_exposure
@@ -8,7 +9,7 @@ from simscenes.sets.pictures.exr_meaning import refuse_foreign
 from simscenes.sets.pictures.image_file import header
 
 ALIKE = 0.02  # relative: cameras round their numbers
-UNEVEN = 4.0  # ratio of two exposures: what a camera that sets them by itself changes on a walk around one thing
+UNEVEN = 4.0  # ratio of two exposures that none lies between: a camera that sets them by itself goes by small steps
 STATED = ("exposure time", "s"), ("ISO speed", ""), ("f-number", "")
 EXIF, TAGS = 0x8769, (0x829A, 0x8827, 0x829D)  # ExposureTime, ISOSpeedRatings (PhotographicSensitivity), FNumber
 OF_EXR = "expTime", "isoSpeed", "aperture"  # OpenEXR's standard attributes
@@ -40,14 +41,18 @@ def check_exposed_alike(files: Sequence[Path], rule: str = OF_VIEWS) -> None:
 
 
 def exposure_doubts(files: Sequence[Path]) -> list[str]:
-    """A doubt where photographs in good light state exposures of which the largest is `UNEVEN` times the least."""
+    """A doubt where photographs in good light state exposures in groups that are `UNEVEN` times apart.
+
+    A camera that sets them by itself, on a walk around one thing, goes up to 25 times the least, step by step.
+    """
     stated = [(stated_of(file), file) for file in files]
-    light = [(time * (iso or 1) / (aperture or 1) ** 2, file) for (time, iso, aperture), file in stated if time]
+    light = sorted((time * (iso or 1) / (aperture or 1) ** 2, file) for (time, iso, aperture), file in stated if time)
     alike = len({(iso is None, aperture is None) for (time, iso, aperture), _ in stated if time}) == 1
-    least, most = min(light, default=(1.0, Path())), max(light, default=(1.0, Path()))
-    return [] if not alike or most[0] <= UNEVEN * least[0] else [
-        f"photographs were exposed unevenly: by its exposure time, ISO speed and f-number {most[1].name} got "
-        f"{most[0] / least[0]:.3g} times the exposure of {least[1].name}, so that one surface has several "
+    steps = [(more / less, file, other) for (less, other), (more, file) in pairwise(light)]
+    step, bright, dark = max(steps, default=(1.0, Path(), Path()))
+    return [] if not alike or step <= UNEVEN else [
+        f"photographs were exposed unevenly: by its exposure time, ISO speed and f-number {bright.name} got "
+        f"{step:.3g} times the exposure of {dark.name}, and none lies between them, so that one surface has several "
         "brightnesses; take photographs with one exposure for all"
     ]  # fmt: skip
 

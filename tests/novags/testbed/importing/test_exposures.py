@@ -66,7 +66,7 @@ def test_other_times_and_speeds_are_refused_by_name(tmp_path: Path) -> None:
         check_exposed_alike([tmp_path / "d.dng", tmp_path / "e.dng"])
 
 
-def test_photographs_that_a_camera_exposed_for_itself_are_said_from_four_times_on(tmp_path: Path) -> None:
+def test_photographs_of_two_exposures_are_said_from_four_times_on(tmp_path: Path) -> None:
     first, unknown = jpeg(tmp_path / "a.jpg", (1, 30), 800), jpeg(tmp_path / "b.jpg")
     balanced = jpeg(tmp_path / "c.jpg", (1, 240), 6400)  # a shorter time at a higher speed is the same exposure
     assert exposure_doubts([first, unknown, balanced, jpeg(tmp_path / "d.jpg", (1, 30), 3200)]) == []
@@ -77,6 +77,14 @@ def test_photographs_that_a_camera_exposed_for_itself_are_said_from_four_times_o
         OpenEXR.File({"type": OpenEXR.scanlineimage, "expTime": time}, light).write(str(tmp_path / f"{name}.exr"))
     (note,) = exposure_doubts([tmp_path / "f.exr", tmp_path / "g.exr"])
     assert "f.exr got 50 times the exposure of g.exr" in note
+
+
+def test_exposures_that_a_camera_changed_step_by_step_are_not_doubted(tmp_path: Path) -> None:
+    speeds = (100, 250, 600, 1500, 3200)  # 32 times from first to last, at most 2.5 from one to the next
+    walk = [jpeg(tmp_path / f"{speed}.jpg", (1, 60), speed) for speed in speeds]
+    assert exposure_doubts(walk) == []
+    (note,) = exposure_doubts([walk[0], walk[1], walk[4]])
+    assert "3200.jpg got 12.8 times the exposure of 250.jpg" in note
 
 
 @pytest.fixture
