@@ -18,6 +18,7 @@ from novags.testbed.folders.exchanged import refuse_exchanged
 from novags.testbed.folders.photographs.raw_files import is_raw, skipped_steps
 from novags.testbed.ledger.contents import folder_digest
 from sensor_model.files.door import enter
+from sensor_model.files.reading import some
 from sensor_model.files.records import Reads, read_once
 from sensor_model.files.registry import Registry
 from sensor_model.isp import linear_to_srgb
@@ -27,6 +28,7 @@ from simscenes.sets.geometry.tracks import SparsePoints
 from simscenes.sets.multiview import READERS, MultiviewSet, is_rendered, load_set
 from simscenes.sets.pictures.image_file import WITH_ALPHA, has_alpha, header, stated_curve
 from simscenes.sets.pictures.meaning import other_primaries
+from simscenes.sets.readers.bare import looks_like_mask
 from simscenes.sets.readers.llff import POSES
 from simscenes.sets.readers.nerf_synthetic import PARTS
 
@@ -116,8 +118,12 @@ class Source:
         views = self.views
         if _is_own(views.path) or is_raw(views.files[0]):
             return []
+        masks = [name for name, file in zip(views.names, views.files, strict=True) if looks_like_mask(file)]
         found: list[str] = PHOTOGRAPHS["matching"](views.names, views.rig.viewmats, views.rig.Ks, views.image)
-        return found
+        return found + ([] if not masks else [
+            f"{len(masks)} of {len(views.names)} pictures look like masks, black and white or of a few flat colours: "
+            f"{some(masks)}; a method takes them for what the cameras saw: remove them, or put the photographs back"
+        ])  # fmt: skip
 
     def radiance(self, i: int) -> np.ndarray:
         """Linear RGB of view `i`, averaged over each larger pixel where the source is scaled down.

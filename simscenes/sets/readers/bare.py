@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simscenes.sets.pictures.image_file import header, image_size, read_rgb
+from simscenes.sets.pictures.mask import is_mask
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp")
 VIDEOS = (".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg")
@@ -28,7 +29,7 @@ VIDEOS = (".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg")
 MAKE, MODEL, EXPOSURE, FOCAL, FOCAL_35 = 0x010F, 0x0110, 0x8769, 0x920A, 0xA405
 DIAGONAL_35 = 43.267  # mm, of 36 x 24
 MASK = re.compile(r"(.+)[._-](?:mask|masks|alpha|matte|seg)")
-MASK_BYTES = 0.05  # of a pixel in a PNG of two codes; a photograph takes twenty times as many
+COMPRESSED, MASK_BYTES = (".png", ".jpg", ".jpeg", ".webp"), 0.2  # of a pixel; photographs take more, masks less
 FOCALS = (1.0, 5000.0)  # mm; a header's value outside this range is not a focal length
 
 
@@ -76,13 +77,13 @@ def picture_files(folder: Path) -> list[Path]:
 
 
 def without_masks(files: Sequence[Path]) -> tuple[list[Path], list[Path]]:
-    """Photographs, and masks among them: files named after another one, in a folder of masks, or black and white.
+    """Photographs, and masks among them: files named after another one, in a folder of masks, or that look so.
 
     Args:
         files: Of one folder or the folders below; if all would be masks, none is.
     """
     named = set(named_as_masks(files))
-    masks = [file for file in files if file in named or _is_black_and_white(file)]
+    masks = [file for file in files if file in named or looks_like_mask(file)]
     if len(masks) == len(files):
         return list(files), []
     return [file for file in files if file not in masks], masks
@@ -103,11 +104,17 @@ def named_as_masks(files: Sequence[Path]) -> list[Path]:
     return [file for file in files if is_mask(file)]
 
 
-def _is_black_and_white(file: Path) -> bool:
+def looks_like_mask(file: Path) -> bool:
+    """Whether a file of a picture shows a mask: its pixels are looked at where so few bytes can be one.
+
+    Raises:
+        ValueError: If the file cannot be read.
+    """
     width, height = image_size(file)
-    if file.suffix.lower() != ".png" or file.stat().st_size > MASK_BYTES * width * height + 1000:
+    suffix = file.suffix.lower()
+    if suffix not in SUFFIXES or (suffix in COMPRESSED and file.stat().st_size > MASK_BYTES * width * height + 1000):
         return False
-    return len(np.unique(read_rgb(file))) <= 2
+    return is_mask(read_rgb(file))
 
 
 def survey(files: Sequence[Path], max_size: int | None) -> tuple[list[Bare], tuple[int, int]]:

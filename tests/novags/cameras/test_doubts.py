@@ -6,6 +6,7 @@ import pytest
 
 from novags.cameras.doubts import camera_doubts, few_views, lens_doubts, same_photographs
 from simscenes import orbit_rig
+from simscenes.sets.pictures.mask import is_mask
 from simscenes.sets.pictures.png import write_png
 from simscenes.sets.readers.bare import without_masks
 
@@ -162,3 +163,32 @@ def test_names_alone_do_not_make_masks(tmp_path) -> None:
     write_png(tmp_path / "d.png", rng.integers(0, 255, (60, 80, 3), np.uint8))
     both = [tmp_path / "carnival_mask.png", tmp_path / "d.png"]
     assert without_masks(both) == (both, [])
+
+
+def soft_disc(colour: tuple[int, int, int] = (255, 255, 255), share: float = 0.3) -> np.ndarray:
+    """A disc with a soft edge on black [120,160,3]."""
+    y, x = np.mgrid[:120, :160]
+    inside = np.clip(40 * share / 0.3 - np.hypot(y - 60, x - 80) + 0.5, 0, 1)
+    return np.round(inside[..., None] * np.array(colour)).astype(np.uint8)
+
+
+def test_masks_are_told_from_their_pixels_in_jpeg_with_soft_edges_and_as_labels() -> None:
+    labels = np.zeros((120, 160, 3), np.uint8)
+    for k in range(12):
+        labels[:, 13 * k : 13 * k + 13] = (20 * k, 255 - 20 * k, 77)
+    kept, file = cv2.imencode(".jpg", soft_disc(), [cv2.IMWRITE_JPEG_QUALITY, 60])
+    assert kept
+    for mask in (soft_disc(), 255 - soft_disc(), soft_disc(share=0.1), labels, cv2.imdecode(file, cv2.IMREAD_COLOR)):
+        assert is_mask(np.asarray(mask, np.uint8))
+
+
+def test_dark_photographs_night_and_drawings_with_shades_are_no_masks() -> None:
+    rng = np.random.default_rng(0)
+    dark = rng.poisson(0.4, (120, 160, 3)).astype(np.uint8)
+    dark[5, 5] = 255  # a hot pixel
+    lamps = np.clip(400 * np.exp(-np.hypot(*np.mgrid[-60:60, -80:80]) / 15), 0, 255).astype(np.uint8)
+    shaded = soft_disc() // 255 * np.linspace(60, 255, 160).astype(np.uint8)[:, None]
+    for picture in (dark, np.zeros_like(dark), np.dstack([lamps] * 3), shaded, 255 - shaded, soft_disc((200, 30, 30))[
+        :, :, :
+    ] // 2 + rng.integers(0, 99, (120, 160, 3)).astype(np.uint8)):  # fmt: skip
+        assert not is_mask(np.asarray(picture, np.uint8))

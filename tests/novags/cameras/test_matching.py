@@ -30,8 +30,9 @@ def painted_ground() -> list[np.ndarray]:
 PICTURES = painted_ground()
 
 
-def doubts(viewmats: np.ndarray = VIEWMATS, pictures: list[np.ndarray] = PICTURES) -> list[str]:
-    return picture_doubts(NAMES, viewmats, np.asarray(RIG.Ks), lambda i: pictures[i])
+def doubts(viewmats: np.ndarray = VIEWMATS, pictures: list[np.ndarray] = PICTURES, focal: float = 1.0) -> list[str]:
+    Ks = np.asarray(RIG.Ks) @ np.diag([focal, focal, 1.0])
+    return picture_doubts(NAMES, viewmats, Ks, lambda i: pictures[i])
 
 
 def test_right_cameras_raise_no_doubt_in_dim_noisy_and_bare_pictures_either() -> None:
@@ -57,7 +58,14 @@ def test_cameras_of_another_convention_and_pictures_of_others_are_said(
     viewmats: np.ndarray, pictures: list[np.ndarray]
 ) -> None:
     (note,) = doubts(viewmats, [np.ascontiguousarray(p) for p in pictures])
-    assert note.startswith("pictures do not show what their cameras say: of the points that two of them share, ")
+    assert note.startswith("pictures do not show what their cameras say: points that two of them share lie ")
+
+
+@pytest.mark.parametrize(("focal", "right"), [(2.0, "0.5"), (1.25, "0.8"), (0.6, "1.7")])
+def test_a_wrong_focal_length_is_said_with_what_fits_better(focal: float, right: str) -> None:
+    (note,) = doubts(focal=focal)
+    assert f"fit better with {right} times the focal length" in note
+    assert doubts(focal=1.02) == []
 
 
 def test_one_picture_that_is_turned_is_named() -> None:

@@ -97,3 +97,16 @@ def test_other_primaries_are_said_of_whichever_picture_states_them(command: str,
         else:
             stages.poses(tmp_path / "out", PosesConfig(photographs=folder / "images"), console)
     assert "state colours of other primaries than those of sRGB (Display P3, say)" in stream.getvalue()
+
+
+def test_masks_among_posed_pictures_are_said_by_name(tmp_path: Path) -> None:
+    stream, folder = io.StringIO(), model(tmp_path / "set", None)
+    mask = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
+    mask[: HEIGHT // 3] = 255
+    for name in ("00", "02"):
+        write_png(folder / "images" / f"{name}.png", mask)
+    stages.import_photographs(folder, tmp_path / "out", ImportConfig(), Console(stream=stream))
+    assert (
+        f"2 of {VIEWS} pictures look like masks, black and white or of a few flat colours: 00, 02;" in stream.getvalue()
+    )
+    assert str(folder) in stream.getvalue()
