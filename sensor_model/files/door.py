@@ -134,12 +134,13 @@ def resolved(path: AnyPath) -> Path:
     return Path(_target(path))
 
 
-def opened(path: AnyPath, *, most: int | None = None) -> BinaryIO:
+def opened(path: AnyPath, *, most: int | None = None, fetched: bool = True) -> BinaryIO:
     """Open a file to read its bytes.
 
     Args:
         path: The file.
         most: Bytes that it may have; None: the result of `largest`.
+        fetched: Whether Git's note of a file that was not fetched is refused; a hash is of what lies there.
 
     Raises:
         ValueError: If it is not a regular file, is larger, is Git's note of a file that was not fetched, or a link
@@ -152,7 +153,7 @@ def opened(path: AnyPath, *, most: int | None = None) -> BinaryIO:
         found = os.fstat(descriptor)
         _check_kind(path, found)
         _check_size(path, found.st_size, largest() if most is None else most)
-        if found.st_size < POINTER_SIZE and os.pread(descriptor, len(POINTER), 0) == POINTER:
+        if fetched and found.st_size < POINTER_SIZE and os.pread(descriptor, len(POINTER), 0) == POINTER:
             raise ValueError(f"{path} is not the file itself but what Git LFS puts in its place until it is fetched: "
                              "run git lfs pull there, or download the file")  # fmt: skip
         if _reached(descriptor) != os.path.abspath(path):

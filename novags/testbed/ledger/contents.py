@@ -170,7 +170,7 @@ def read_digest(path: Path) -> bytes:
             is_record = isinstance(found.value, dict) and "stage" in found.value
             return record_digest(found.value) if is_record else found.hash
     content = hashlib.blake2b()
-    with opened(path) as file:
+    with opened(path, fetched=False) as file:  # what is used is refused by its reader
         while chunk := file.read(1 << 20):
             content.update(chunk)
     return content.digest()

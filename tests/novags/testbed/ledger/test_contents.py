@@ -62,6 +62,16 @@ def test_folder_digest_sees_a_file_that_is_named_whatever_it_is_called(tmp_path:
     assert len(found) == 2
 
 
+def test_what_git_left_in_place_of_a_file_that_nobody_reads_is_hashed_as_it_lies_there(tmp_path: Path) -> None:
+    file = tmp_path / "sparse" / "points3D.ply"
+    file.parent.mkdir()
+    found = set()
+    for size in (1, 2):
+        file.write_text(f"version https://git-lfs.github.com/spec/v1\nsize {size}\n")
+        found.add(folder_digest(tmp_path, ["sparse"]))
+    assert len(found) == 2
+
+
 def test_folder_digest_takes_only_records_of_stages_for_records(tmp_path: Path) -> None:
     def changes(first: object, second: object) -> bool:
         seen = set()
