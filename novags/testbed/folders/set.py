@@ -113,13 +113,19 @@ class Source:
         """From white-balanced RGB of the set's own colour filters to linear sRGB, [3,3]; white stays white."""
         return None if self.filters is None else np.linalg.inv(self.filters) * self.filters.sum(1)
 
-    def picture_doubts(self) -> list[str]:
-        """Doubts about whether pictures of a stranger show what their cameras say; raw files are not looked at."""
+    def picture_doubts(self, picture: Callable[[int], np.ndarray] | None = None) -> list[str]:
+        """Doubts about whether pictures of a stranger show what their cameras say.
+
+        Args:
+            picture: The 8-bit picture of a view, of the size of `rig`; None: the views', whose files are not raw.
+        """
         views = self.views
-        if _is_own(views.path) or is_raw(views.files[0]):
+        if _is_own(views.path) or (picture is None and is_raw(views.files[0])):
             return []
         masks = [name for name, file in zip(views.names, views.files, strict=True) if looks_like_mask(file)]
-        found: list[str] = PHOTOGRAPHS["matching"](views.names, views.rig.viewmats, views.rig.Ks, views.image)
+        found: list[str] = PHOTOGRAPHS["matching"](
+            views.names, views.rig.viewmats, (views if picture is None else self).rig.Ks, picture or views.image
+        )
         return found + ([] if not masks else [
             f"{len(masks)} of {len(views.names)} pictures look like masks, black and white or of a few flat colours: "
             f"{some(masks)}; a method takes them for what the cameras saw: remove them, or put the photographs back"

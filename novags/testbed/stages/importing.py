@@ -189,7 +189,7 @@ def _say(dark: Dark, darkroom: Darkroom, config: ImportConfig, match: Match | No
     """Assumptions about the photographs, and losses in the import."""
     for file in dict.fromkeys((*dark.files, *dark.raws)):
         say_stated(file, dark.source.views.path, console)
-    for doubt in dark.source.picture_doubts():
+    for doubt in dark.source.picture_doubts(lambda i: darkroom.srgb8(dark.files[i], i)):
         console.warn(f"{dark.source.views.path}: {doubt}")
     if dark.depth == "16bit":
         curve = config.codes.of(dark.files[0]).curve

@@ -110,9 +110,11 @@ def looks_like_mask(file: Path) -> bool:
     Raises:
         ValueError: If the file cannot be read.
     """
-    width, height = image_size(file)
     suffix = file.suffix.lower()
-    if suffix not in SUFFIXES or (suffix in COMPRESSED and file.stat().st_size > MASK_BYTES * width * height + 1000):
+    if suffix not in SUFFIXES:
+        return False
+    width, height = image_size(file)
+    if suffix in COMPRESSED and file.stat().st_size > MASK_BYTES * width * height + 1000:
         return False
     return is_mask(read_rgb(file))
 

@@ -7,6 +7,7 @@ import struct
 import zlib
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -110,3 +111,27 @@ def test_masks_among_posed_pictures_are_said_by_name(tmp_path: Path) -> None:
         f"2 of {VIEWS} pictures look like masks, black and white or of a few flat colours: 00, 02;" in stream.getvalue()
     )
     assert str(folder) in stream.getvalue()
+
+
+def test_pictures_developed_from_raw_files_are_held_against_their_cameras(tmp_path: Path) -> None:
+    """A painted ground seen from above, as raw mosaics; then the files of two neighbours change places, all along."""
+    count, (width, height) = 8, (240, 180)
+    rig = orbit_rig(count, width, height, 45.0, radius=3.0, elevation_deg=55.0, sweep_deg=90.0)
+    rng, paint = np.random.default_rng(0), np.zeros((800, 800))
+    for cells in (16, 40, 90):
+        paint += cv2.resize(rng.random((cells, cells)), (800, 800), interpolation=cv2.INTER_CUBIC)
+    ground = (60 + 800 * (paint - paint.min()) / np.ptp(paint)).astype(np.float32)
+    place = np.array([[5 / 800, 0, -2.5], [0, 5 / 800, -2.5], [0, 0, 1]])  # of a texel on the ground, z = 0
+    names = [f"{i}" for i in range(count)]
+    for folder, order in (("right", range(count)), ("shifted", np.roll(range(count), 2))):
+        write_cameras(tmp_path / folder, names, rig)
+        (tmp_path / folder / "nb-info.json").unlink()
+        record = tmp_path / folder / "transforms.json"
+        record.write_text(record.read_text().replace("images/", "raw/").replace(".png", ".dng"))
+        for name, i in zip(names, order, strict=True):
+            view = rig.Ks[i] @ np.asarray(rig.viewmats[i])[:3, [0, 1, 3]] @ place
+            codes = cv2.warpPerspective(ground, view, (width, height), flags=cv2.INTER_AREA).astype(np.uint16) + 200
+            write_dng(tmp_path / folder / "raw" / f"{name}.dng", codes, CAMERA, Exposure(time=0.01))
+        stream = io.StringIO()
+        stages.import_photographs(tmp_path / folder, tmp_path / f"{folder}-out", ImportConfig(), Console(stream=stream))
+        assert ("do not show what their cameras say" in stream.getvalue()) == (folder == "shifted"), stream.getvalue()
