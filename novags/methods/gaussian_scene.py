@@ -1,6 +1,7 @@
 """A scene of Gaussians, as a method gives it back."""
 
 import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -43,6 +44,11 @@ class GaussianScene:
     def of(gaussians: Gaussians, config: FitConfig) -> "GaussianScene":
         """The scene that a fit with this configuration has trained."""
         return GaussianScene(gaussians, config.eps2d, config.antialiased, config.near_plane)
+
+    def along(self, kept: Mapping[int, Gaussians]) -> "dict[int, GaussianScene]":
+        """The scene with each of the Gaussians that a fit kept, shown as this one is."""
+        device = self.gaussians.means.device
+        return {at: dataclasses.replace(self, gaussians=one.to(device)) for at, one in sorted(kept.items())}
 
     def render(self, views: Views) -> tuple[Tensor, Tensor, Tensor]:
         """As `ReconstructedScene` says."""

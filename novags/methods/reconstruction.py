@@ -1,6 +1,6 @@
 """The result of a method: a scene that can be rendered and saved, and how it came about."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, Protocol
@@ -49,6 +49,8 @@ class Reconstruction:
             views have on average, and are compared like the renders of methods that enhance.
         enhanced: The enhanced training pictures [C, H, W, 3], or None.
         targets: The pictures that the scene was finally fitted to [C, H, W, 3] (denoised pictures, say), or None.
+        along: The scene after fewer iterations of the same fit, by their number, as `fit.keep_at` of the configuration
+            asks; empty where more than Gaussians was trained.
         viewmats: The training cameras at the end of training [C, 4, 4]; None: unchanged.
         losses: Log entries of the training.
         seconds: Wall time by part.
@@ -63,6 +65,7 @@ class Reconstruction:
     enhancement: dict[str, Any] | None = None
     enhanced: Tensor | None = None
     targets: Tensor | None = None
+    along: Mapping[int, ReconstructedScene] = field(default_factory=dict)
     viewmats: Tensor | None = None
     losses: list[dict[str, float]] = field(default_factory=list)
     seconds: dict[str, float] = field(default_factory=dict)

@@ -82,8 +82,10 @@ def fit_enhanced(
     dark = problem.encoded(config.pictures)
     start = start_gaussians(problem.start, dark, images, sh_degree=config.fit.sh_degree, init_scale=config.init_scale)
     result = fit(start, problem.views, lambda i: images[i], config.fit, progress=progress, checkpoint=checkpoint)
+    scene = GaussianScene.of(result.gaussians, config.fit)
     return Reconstruction(
-        scene=GaussianScene.of(result.gaussians, config.fit),
+        scene=scene,
+        along=scene.along(result.kept),
         space="enhanced",
         config=config,
         enhancement=enhancement_record(config.enhance, config.pictures),

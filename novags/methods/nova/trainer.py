@@ -349,8 +349,10 @@ def train(
     except NotFinite as stop:
         training.save_stopped(stop)
         raise
+    scene = GaussianScene.of(result.gaussians, config.fit)
     return Reconstruction(
-        scene=GaussianScene.of(result.gaussians, config.fit),
+        scene=scene,
+        along=scene.along(result.kept),
         space="enhanced",
         config=config,
         enhancement=enhancement_record(config.enhance, config.pictures),

@@ -215,7 +215,7 @@ class _Work:
         seed = self.base.seed + 1000 * seed
         # one fit corrects the cameras, for all others: guides, merged seeds and renders need one frame
         common = {"iterations": self.config.iterations(part), "cap_max": self.count, "seed": seed,
-                  "refine_cameras": None}  # fmt: skip
+                  "refine_cameras": None, "keep_at": ()}  # fmt: skip
         return dataclasses.replace(self.base, **{**common, **changes})
 
     def _tones(self, gaussians: Gaussians) -> Tensor:

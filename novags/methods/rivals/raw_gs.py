@@ -89,7 +89,7 @@ def train(
     matrix = torch.eye(3) if data.matrix is None else data.matrix.cpu()
     scene = dataclasses.replace(GaussianScene.of(result.gaussians, config.fit), matrix=unit * matrix)
     return reconstructed(
-        result, config, scene, "linear", started, found={"unit": unit},
+        result, config, scene, "linear", started, found={"unit": unit}, along=scene.along(result.kept),
         enhancement=enhancement_record(config.enhance, config.pictures),
         enhanced=enhanced(problem, config.enhance, config.pictures),
     )  # fmt: skip

@@ -34,6 +34,7 @@ class TrainingState:
         iteration: Iterations done.
         losses: Log entries.
         seconds: Wall time spent before this process took over.
+        kept: Copies of the Gaussians on the CPU, by the iterations done, as `FitConfig.keep_at` asks.
     """
 
     gaussians: Gaussians
@@ -43,6 +44,12 @@ class TrainingState:
     iteration: int = 0
     losses: list[dict[str, float]] = field(default_factory=list)
     seconds: float = 0.0
+    kept: dict[int, Gaussians] = field(default_factory=dict)
+
+    def keep(self) -> None:
+        """Keep a copy of the Gaussians as they are after this iteration."""
+        copies = {name: t.detach().clone().cpu() for name, t in self.gaussians.tensors().items()}
+        self.kept[self.iteration] = Gaussians(**copies)
 
 
 def save_checkpoint(path: Path, state: TrainingState, settings: dict[str, object]) -> None:
@@ -60,6 +67,8 @@ def save_checkpoint(path: Path, state: TrainingState, settings: dict[str, object
         tensors |= {f"cameras.{name}": t.detach() for name, t in vars(state.cameras).items()}
     if state.companion is not None:
         tensors |= state.companion.state()
+    for at, gaussians in state.kept.items():
+        tensors |= {f"kept.{at}.{name}": t for name, t in gaussians.tensors().items()}
     rest = {
         "iteration": state.iteration, "adam": state.adam.count, "losses": state.losses, "seconds": state.seconds,
         "settings": settings,
@@ -136,6 +145,7 @@ def _assembled(rest: dict[str, Any], tensors: dict[str, Tensor], settings: dict[
     return TrainingState(
         gaussians=gaussians, adam=adam, cameras=CameraState(**cameras) if cameras else None,
         iteration=done, losses=rest["losses"], seconds=rest["seconds"],
+        kept={at: Gaussians(**part(f"kept.{at}.")) for at in settings.get("keep_at", ()) if at <= done},
     )  # fmt: skip
 
 

@@ -165,6 +165,8 @@ class FitConfig:
         antialiased: Whether opacities fall where `eps2d` makes a splat larger; `rasterize_mode` of `rasterize`.
         backend: As in `rasterize`.
         checkpoint_every: Iterations between checkpoints.
+        keep_at: Iterations after which a copy of the Gaussians is kept, to be scored along the run. The run itself is
+            the same with and without.
     """
 
     iterations: int = 7000
@@ -184,11 +186,19 @@ class FitConfig:
     antialiased: bool = False
     backend: str = "auto"
     checkpoint_every: int = 1000
+    keep_at: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         check_range("iterations", self.iterations, 0, STEPS)
         check_range("sh_every", self.sh_every, 1, STEPS)
         check_range("checkpoint_every", self.checkpoint_every, 1, STEPS)
+        for at in self.keep_at:
+            check_range("keep_at", at, 1, STEPS)
+        if self.keep_at and self.refine_cameras is not None:
+            raise ValueError(
+                f"keep_at must be empty where cameras are refined, got {self.keep_at}: what is kept would belong to "
+                "the cameras of its own time"
+            )
         if self.cap_max is not None:
             check_range("cap_max", self.cap_max, 1, POINTS)
         if self.sh_degree not in (0, 1, 2, 3):

@@ -5,7 +5,7 @@ import math
 import resource
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
@@ -46,6 +46,7 @@ class FitResult:
             "n_gaussians", and "norm_means", "norm_quats", ...: the Euclidean norm of each tensor of the Gaussians.
         seconds: Wall time, of the stopped runs before this one too.
         earlier: Of these, the seconds of stopped runs before this one.
+        kept: Copies of the Gaussians, by the iterations done, as `config.keep_at` asks.
         peak_bytes: Largest resident memory of the process (CPU) or largest allocation (CUDA) so far.
     """
 
@@ -56,6 +57,7 @@ class FitResult:
     seconds: float
     peak_bytes: int
     earlier: float = 0.0
+    kept: dict[int, Gaussians] = field(default_factory=dict)
 
 
 def fit(
@@ -150,6 +152,8 @@ def fit(
                 companion.step(iteration, config.iterations, None if flags is None else flags.bad)
             _move(state, iteration, config, cap, means_rate, extent, flags)
             state.iteration = done = iteration + 1
+            if done in config.keep_at:
+                state.keep()
             ends, place = done == config.iterations, where(iteration, view)
             saving = done % config.checkpoint_every == 0 or ends
             if done % LOG_EVERY == 0 or ends:
@@ -168,7 +172,7 @@ def fit(
     return FitResult(
         gaussians=state.gaussians.detach(), viewmats=current(views, state, extent).viewmats.detach(),
         config=config, losses=state.losses, seconds=time.perf_counter() - started, earlier=earlier,
-        peak_bytes=_peak_bytes(state.gaussians),
+        peak_bytes=_peak_bytes(state.gaussians), kept=state.kept,
     )  # fmt: skip
 
 

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 import torch
-from safetensors.torch import save_file
+from safetensors.torch import load_file, save_file
 
 from novags.splats import FitConfig, Gaussians, LearningRates, McmcConfig, Step, Views, fit, rasterize
 from novags.splats.training.config import CameraRefinement
@@ -87,6 +87,31 @@ def test_a_stopped_run_resumes_to_the_same_bits(tmp_path):
     assert resumed.losses == whole.losses
     assert same(whole.gaussians, fit(start, views, lambda i: images[i], interrupted, checkpoint=path).gaussians)
     assert [p.name for p in tmp_path.iterdir()] == ["state.safetensors"]
+
+
+def test_what_is_kept_along_a_run_is_its_state_then_and_the_run_is_the_same_with_and_without(tmp_path):
+    start, views, images = problem()
+    path, states = tmp_path / "state.safetensors", {}
+
+    def look(iteration: int) -> None:
+        if iteration in (20, 60):
+            states[iteration] = load_file(path)
+        if iteration == 57 and 60 not in states and "stopped" not in states:
+            states["stopped"] = {}
+            raise KeyboardInterrupt
+
+    asked = config(checkpoint_every=20, keep_at=(20, 60, 80))
+    with pytest.raises(KeyboardInterrupt):
+        fit(start, views, lambda i: images[i], asked, before_step=look, checkpoint=path)
+    found = fit(start, views, lambda i: images[i], asked, before_step=look, checkpoint=path)
+    assert same(found.gaussians, fit(start, views, lambda i: images[i], config()).gaussians)
+    assert list(found.kept) == [20, 60, 80]
+    for at in (20, 60):
+        for name, tensor in found.kept[at].tensors().items():
+            assert torch.equal(tensor, states[at][f"gaussians.{name}"])
+    assert len(found.kept[20]) < len(found.kept[60])
+    assert same(found.kept[80], found.gaussians)
+    assert found.kept[80].means.data_ptr() != found.gaussians.means.data_ptr()
 
 
 def test_a_checkpoint_of_another_run_is_refused_with_the_difference(tmp_path):
@@ -224,6 +249,8 @@ def test_bad_targets_and_losses_are_refused():
         ({"dssim_weight": 1.5}, "dssim_weight must lie in 0..1"),
         ({"opacity_reg_fall": -1.0}, "opacity_reg_fall must be finite and >= 0, got -1"),
         ({"extent": 0.0}, "extent must be > 0 or None"),
+        ({"keep_at": (10, 0)}, "keep_at must be >= 1, got 0"),
+        ({"keep_at": (10,), "refine_cameras": CameraRefinement()}, "keep_at must be empty where cameras are refined"),
     ],
 )
 def test_bad_configurations_are_refused(changes, message):
