@@ -1,6 +1,7 @@
 """Scores of one run against the truth: held-out views in 3D, training pictures in 2D, depth, cameras, consistency."""
 
 from collections.abc import Collection, Mapping
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -15,14 +16,16 @@ from novags.testbed.folders.exposures import Exposures, as_compared, exposures_o
 from novags.testbed.folders.references import LINEAR, missing_references, references, true_depth
 from novags.testbed.folders.run import METRICS, Run, open_run
 from novags.testbed.folders.set import Source
+from novags.testbed.folders.truth_noise import reference_halves
 from novags.testbed.ledger.code import Code, code_of
 from novags.testbed.ledger.stage import run_stage
 from novags.testbed.metrics import missing, modules, networks
 from novags.testbed.metrics.consistency import ConsistencyScores, consistency_scores
 from novags.testbed.metrics.geometry import geometry_scores
 from novags.testbed.metrics.images import aligned_psnr, gaussian_blur, image_scores, mean_scores, psnr
-from novags.testbed.metrics.linear import is_black, linear_psnr
+from novags.testbed.metrics.linear import linear_scores
 from novags.testbed.metrics.picture import Image
+from novags.testbed.metrics.truth import ERROR, WITHIN
 from novags.testbed.stages.scores.noise import noise_scores
 from sensor_model.files.lock import locked
 from simscenes.sets.geometry.correspondence import flow
@@ -108,12 +111,11 @@ def score_test_views(
     for done, i in enumerate(indices):
         name = capture.names[i]
         rendered = run.rendering(name)
+        halves = reference_halves(run, capture, lit, i)
         views[name] = {
-            kind: {
-                "linear_psnr": None if is_black(reference) or gain is None else linear_psnr(rendered, reference, gain)
-            }
+            kind: linear_scores(rendered, reference, gain, halves.get(kind))
             if kind in LINEAR
-            else image_scores(as_compared(rendered, run, capture, kind, exposures), reference, asked)
+            else image_scores(as_compared(rendered, run, capture, kind, exposures), reference, asked, halves.get(kind))
             for kind, reference in references(run, capture, lit, i).items()
         }
         if run.has_depth and (truth := true_depth(lit, i)) is not None:
@@ -135,7 +137,13 @@ def shows_nothing(views: dict[str, Any]) -> dict[str, str]:
     found = {}
     for kind in next(iter(views.values())):
         number = "linear_psnr" if kind in LINEAR else "aligned_psnr"
-        blank = [name for name, scores in views.items() if scores[kind][number] is None]
+        within = [name for name, scores in views.items() if scores[kind].get(number + ERROR) == inf]
+        if within:
+            found[f"{number} against {kind}"] = (
+                f"{WITHIN} in {len(within)} of {len(views)} views ({within[0]}{', ...' if len(within) > 1 else ''}), "
+                "which the mean leaves out: render the held-out views with more samples (--truth-samples)"
+            )
+        blank = [name for name, scores in views.items() if scores[kind][number] is None and name not in within]
         if blank:
             lost = "linear_psnr" if kind in LINEAR else "aligned scores"
             what = lost if kind == "linear" else f"{lost} against {kind}"

@@ -104,7 +104,7 @@ def test_depth_is_scored_in_the_scale_of_the_true_cameras(monkeypatch: pytest.Mo
     depth, alpha = np.full((4, 4), 1.5), np.ones((4, 4))
     stand_ins: dict[str, Any] = {
         "references": {"lit": None}, "image_scores": {"psnr": 30.0}, "as_compared": None, "true_depth": 3.0 * alpha,
-        "missing_references": {}, "view_consistency": {},
+        "missing_references": {}, "view_consistency": {}, "reference_halves": {},
     }  # fmt: skip
     for name, value in stand_ins.items():
         monkeypatch.setattr(scoring, name, lambda *given, value=value: value)
@@ -157,7 +157,8 @@ def test_every_reference_and_every_view_counts_in_the_mean_scores(monkeypatch: p
     monkeypatch.setattr(scoring, "as_compared", lambda rendered, *_: rendered)
     monkeypatch.setattr(scoring, "missing_references", lambda *_: {"gone": "why"})
     monkeypatch.setattr(scoring, "exposures_of", lambda *_: Exposures(dark=1.0, lit=None))
-    monkeypatch.setattr(scoring, "image_scores", lambda a, b, asked: {"psnr": float((100 * a - b + b * 0).mean())})
+    monkeypatch.setattr(scoring, "image_scores", lambda a, b, *_: {"psnr": float((100 * a - b + b * 0).mean())})
+    monkeypatch.setattr(scoring, "reference_halves", lambda *_: {})
     run: Any = SimpleNamespace(space="linear", has_depth=False, rendering=lambda name: light[int(name)])
     capture: Any = SimpleNamespace(names=tuple("012345"), cameras=SimpleNamespace(test_indices=(1, 4)))
     nothing: Any = None
