@@ -1,4 +1,4 @@
-"""The tables of a study: one row a run, in results.csv and results.json."""
+"""The tables of a study: one row a run, in results.csv and results.json; and differences.csv."""
 
 import os
 from collections.abc import Mapping
@@ -8,11 +8,12 @@ from typing import Any
 
 from novags.testbed.console.csv_text import as_csv
 from novags.testbed.folders import shapes
-from novags.testbed.folders.run import METRICS, open_run
+from novags.testbed.folders.run import METRICS, RECORD, open_run
 from novags.testbed.folders.runs import ROWS, TABLE
 from novags.testbed.ledger.contents import read_json, write_json
 from novags.testbed.ledger.store import read_seal
-from novags.testbed.stages.scores.comparing import recovered_shares, with_errors
+from novags.testbed.stages.scores.comparing import enhancement_of, recovered_shares, with_errors
+from novags.testbed.study.differences import Finished, write_differences
 from novags.testbed.study.entry import Task
 from novags.testbed.study.knobs.measurement import read_measured
 from novags.testbed.study.plan import StudyPlan
@@ -77,7 +78,22 @@ class StudyTable:
         """Write both tables; returns the rows."""
         rows = self.rows(states)
         _write(self.out, self.plan.study.axes, rows)
+        if self.plan.study.ends == "run":
+            write_differences(self.out, self.plan.study.axes, self._finished(states))
         return rows
+
+    def _finished(self, states: Mapping[str, State]) -> list[Finished]:
+        """The finished runs of which the scores are on this machine."""
+        found = []
+        for cell, key in self.plan.runs:
+            task = self.plan.tasks[key]
+            folder = task.folder(self.store)
+            done = key in self.kept if key not in states else states[key].name == "done"
+            if done and (key in self._runs or (folder / METRICS).is_file()):
+                record = read_json(folder / RECORD) if (folder / RECORD).is_file() else {}
+                method = task.config.variant.method
+                found.append(Finished(cell.values, method, self._whole(key), enhancement_of(record)))
+        return found
 
     def _scores_of(self, key: str) -> dict[str, Any]:
         if key not in self._scores:
@@ -127,19 +143,22 @@ def rescored(out: Path) -> None:
         ValueError: If the tables or the scores of a run cannot be read.
     """
     table = read_json(out / TABLE, ROWS)
-    scores, methods = dict[str, dict[str, Any]](), dict[str, str]()
+    scores, methods, finished = dict[str, dict[str, Any]](), dict[str, str](), list[Finished]()
     for row in table["rows"]:
         if row["state"] == "done":
             run = open_run(out / row["folder"])
             methods[row["method"]] = run.method
             if (own := run.scores()) is not None:
                 scores[row["method"]] = own
+                place = {name: row.get(name) for name in table["axes"]}
+                finished.append(Finished(place, run.method, own, enhancement_of(run.record)))
     shares, columns = _shares(scores, methods), {name: flat_scores(own) for name, own in scores.items()}
     kept = ("run", *table["axes"], "state", "reason", "stage", "log", "folder")
     _write(out, table["axes"], [
         {**{name: row.get(name) for name in kept}, **shares.get(row["method"], {}), **columns.get(row["method"], {})}
         for row in table["rows"]
     ])  # fmt: skip
+    write_differences(out, table["axes"], finished)
 
 
 def _write(out: Path, axes: Mapping[str, Any], rows: list[dict[str, Any]]) -> None:

@@ -17,6 +17,7 @@ from novags.testbed.report.tables import KINDS, columns, digits, per_view
 from novags.testbed.report.verdict import table_of
 from novags.testbed.report.words import named, number, share, signed
 from novags.testbed.stages.scores.comparing import bounds_of
+from novags.testbed.study.differences import DIFFERENCES
 from novags.testbed.study.light import METHOD
 from novags.testbed.study.results import CSV
 from sensor_model.files.door import resolved
@@ -124,7 +125,12 @@ def _of_many(material: Material, page: Page) -> dict[str, Any]:
         "alike": all(line.alike for line in lines), "no_lpips": not any(LPIPS in line.spread for line in lines),
         "pictures": bool(page.views), "floors": not material.study, "seeds": any(len(line.runs) > 1 for line in lines),
         "csv": CSV if material.study and resolved(material.path.parent) == resolved(material.study[0]) else None,
+        "differences": _differences(material),
     }  # fmt: skip
+
+
+def _differences(material: Material) -> str | None:
+    return DIFFERENCES if material.study and (material.study[0] / DIFFERENCES).is_file() else None
 
 
 def _methods(material: Material) -> list[tuple[Any, str]]:

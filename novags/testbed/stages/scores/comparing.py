@@ -1,5 +1,6 @@
 """Runs of one capture compared view by view: gains over the floor, and shares of the cost of noise that each wins."""
 
+import json
 from collections.abc import Mapping
 from typing import Any
 
@@ -9,9 +10,9 @@ from novags.methods import METHODS
 from novags.testbed.metrics.differences import Estimate, Values, difference, is_span, share
 from novags.testbed.metrics.truth import ERROR
 
-# dB between the floor and the ceiling of one scene and one seed: less is what other seeds would change it by, which no
-# error over views knows.
-NO_GAIN = 0.3
+# dB between the floor and the ceiling. Methods differ in more than what they do with noise: other learning rates alone
+# move the ceiling by .8 dB (docs/nova-plus.md), so that a share of less would say little of noise.
+NO_GAIN = 1.0
 # column: the reference, the score
 SHARES = {"recovered": ("enhanced", "aligned_psnr"), "recovered_lit": ("lit", "tone_aligned_psnr")}
 
@@ -35,6 +36,12 @@ def values_of(method: Mapping[str, Any], kind: str, number: str, scene: str = ""
     found = {name: (own.get(kind) or {}).get(number) for name, own in views.items()}
     known = {(scene, seed, name): float(value) for name, value in found.items() if value is not None}
     return known or {(scene, seed, ""): float(whole)}
+
+
+def enhancement_of(record: Mapping[str, Any]) -> str:
+    """What a run's noise-free reference is enhanced by, by its run.json, as text to compare; "" where nothing is."""
+    found = record.get("enhancement") or {}
+    return json.dumps([found.get("enhancer"), found.get("config")], sort_keys=True) if found else ""
 
 
 def mean_values(several: list[Values]) -> Values:
@@ -93,7 +100,7 @@ def recovered_fractions(
     if span is None or not is_span(span, NO_GAIN):
         return {}, (
             f"{ends['ceiling'][0]} is {'' if span is None else said(span) + ' '}from {ends['floor'][0]}: no share is "
-            "made of a difference that is below three of its errors, or that another seed could make"
+            f"made of less than {NO_GAIN:g} dB, which rates and losses alone can make, or than three standard errors"
         )
     bounds = {name for names in ends.values() for name in names}
     shares = {name: share(value[name], floor, ceiling, NO_GAIN) for name in value if name not in bounds}
@@ -107,7 +114,7 @@ def with_errors(estimates: Mapping[str, Estimate]) -> dict[str, float | None]:
 
 
 def gains(span: Estimate | None) -> bool:
-    """Whether the ceiling is above the floor of one capture by more than another seed, or other views, would make."""
+    """Whether the ceiling is above the floor by more than other rates, or other views, would make."""
     return span is not None and span.value > NO_GAIN and (span.error is None or is_span(span))
 
 

@@ -7,7 +7,6 @@ import pytest
 
 from novags.testbed.metrics.differences import Estimate
 from novags.testbed.stages.scores.comparing import (
-    NO_GAIN,
     deltas,
     recovered_fractions,
     recovered_shares,
@@ -108,15 +107,15 @@ def test_of_several_runs_of_a_bound_none_recovers_anything_and_their_mean_is_the
     assert "b/naive have no aligned_psnr against enhanced" in str(recovered_fractions(scores, methods)[1])
 
 
-def test_there_is_no_share_of_a_span_that_views_may_make() -> None:
-    """A quarter of a dB between the ends, by views that are a dB apart: as in a run of 100 iterations."""
-    scores = {"nova": method(22.0), "naive": method(20.0), "oracle": method(20.25)}
-    for k, off in enumerate((0.2, -0.3, 0.1)):
+@pytest.mark.parametrize(("ceiling", "apart"), [(20.25, 0.15), (20.7, 0.09), (22.0, 0.8)])
+def test_there_is_no_share_of_a_span_that_views_or_rates_may_make(ceiling: float, apart: float) -> None:
+    """The first two: the demo at 64 px after 100 iterations, whose truth is noisy and is not."""
+    scores = {"nova": method(22.0), "naive": method(20.0), "oracle": method(ceiling)}
+    for k, off in enumerate((apart * 3**0.5, -apart * 3**0.5, 0.0)):
         scores["oracle"]["views"][str(k)]["enhanced"]["aligned_psnr"] += off
     recovered, why = fractions(scores)
     assert recovered == {}
-    assert "oracle is +0.25 ± 0.15 dB (this scene, 3 views) from naive" in (why or "")
-    assert NO_GAIN == 0.3
+    assert f"oracle is {ceiling - 20:+.2f} ± {apart:.2f} dB (this scene, 3 views) from naive" in (why or "")
 
 
 def test_gains_over_the_floor_are_paired_by_view_and_carry_their_error() -> None:
