@@ -12,6 +12,7 @@ from novags.options import Folder, Folders
 _Reference = Literal["lit", "linear", "clean", "linear_demosaiced", "clean_demosaiced"]
 
 if TYPE_CHECKING:
+    from novags.testbed.metrics.differences import Estimate
     from novags.testbed.report.place import Place
 
 
@@ -124,15 +125,32 @@ def _in_words(mean: Mapping[str, Any], place: "Place", name: str) -> str:
         if number not in (mean.get(kind) or {}):
             continue
         delta, base = place.deltas(kind)
-        found = f", {delta[name]:+.2f} over {base}" if name in delta else ""
+        found = f", {_apart(delta[name])} over {base}" if name in delta else ""
         recovered = place.metrics[share].get(name)
-        found += "" if recovered is None else f", {recovered:.0%} recovered"
-        words.append(what.format(_decibels(mean[kind][number]), found))
+        found += "" if recovered is None else f", {_with_error(recovered, '{:.0%}')} recovered"
+        words.append(what.format(_decibels(mean[kind], number), found))
     return "; ".join(words) or "not scored: no truth is known (see unavailable in metrics.json)"
 
 
-def _decibels(score: float | None) -> str:
-    return "not scored, because the reference shows nothing" if score is None else f"{score:.2f} dB"
+def _apart(found: "Estimate") -> str:
+    """A difference with its error, and whether it is seen."""
+    return _with_error(found, "{:+.2f}") + ("" if found.error is None or found.seen else ", not seen to differ,")
+
+
+def _with_error(found: "Estimate", how: str) -> str:
+    return how.format(found.value) + ("" if found.error is None else f" ± {how.format(found.error).lstrip('+')}")
+
+
+def _decibels(scores: Mapping[str, Any], number: str) -> str:
+    from novags.testbed.metrics.truth import ERROR, WITHIN
+
+    if (score := scores[number]) is not None:
+        return f"{score:.2f} dB"
+    return (
+        WITHIN
+        if scores.get(number + ERROR) in ("inf", float("inf"))
+        else "not scored, because the reference shows nothing"
+    )
 
 
 def report(

@@ -38,21 +38,24 @@ class Stopwatch:
 
 
 def predict_seconds(
-    method: RenderMethod, rig: Rig, views: dict[int, RenderedView], spp: int | None, target_error: float | None
-) -> float:
+    method: RenderMethod, rig: Rig, views: dict[int, RenderedView], spp: int | None, target_error: float | None,
+    worth: float | None = None,
+) -> float:  # fmt: skip
     """Predict the seconds that rendering these views will take.
+
+    `worth`: how many views of `spp` samples, or of `target_error`, they cost together; None: as many as there are.
 
     With `target_error` from pilots of up to three of `views`, which keep them as their first samples: that costs
     nothing. Else from some pixels of the first view, at about 3 % of the job: they are timed on their second run, when
     the kernel, which the job shares, is compiled.
     """
-    numbers = sorted(views)
+    numbers, worth = sorted(views), len(views) if worth is None else worth
     if target_error is not None:
         chosen = sorted({numbers[0], numbers[len(views) // 2], numbers[-1]})
         each = [views[i].pilot.seconds * views[i].predict_spp(target_error) for i in chosen]
-        return sum(each) / len(each) * len(views)
+        return sum(each) / len(each) * worth
     first = RenderedView(method, rig, numbers[0])  # a view of its own: `views` must not depend on the prediction
-    return first.seconds(spp or 2, PART * len(views)) * len(views)
+    return first.seconds(spp or 2, PART * worth) * worth
 
 
 def peak_bytes() -> int:

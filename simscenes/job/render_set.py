@@ -41,16 +41,16 @@ from simscenes.transport.plan import APERTURE, MOTION, TransportPlan
 from simscenes.transport.planner import default_plan, plan_loaded
 
 DEFAULT_SPP = 256
-FORMAT = 4  # of the folder; sets of another format are rendered again
-LENS_FORMAT = 5  # of sets with depth of field; earlier ones are biased, since lens and first light shared numbers
+FORMAT = 6  # of the folder; sets of another format are rendered again
+MOST_TRUTH = 1024  # times the samples
 # Samples in a job, at 1.5 to 3 microseconds of processor time each: some ten minutes. The planner's slower
 # measurements, up to a minute, are a tenth of that.
 MEASURE_FROM = 3 * 10**8
 ERROR_SEEN = (
-    "relative_error is the spread between two or more independent passes: noise only; var.R/G/B is their variance over "
-    "3 x 3 pixels, 9 degrees of freedom from two passes. error adds the light left out by the plan, at most (left_out: "
-    "the whole picture, then its quarters by brightness, darkest first). Neither sees a caustic that no pass found, "
-    "nor spectra that RGB stands for; see plan."
+    "relative_error is the spread between two or more independent passes: noise only; half.R/G/B is half the "
+    "difference of two, var.R/G/B their variance over 3 x 3 pixels, 9 degrees of freedom. error adds the light left "
+    "out by the plan, at most (left_out: the whole picture, then its quarters by brightness, darkest first). Neither "
+    "sees a caustic that no pass found, nor spectra that RGB stands for; see plan."
 )
 
 
@@ -61,6 +61,7 @@ def render_set(
     *,
     spp: int | None = None,
     target_error: float | None = None,
+    truth_samples: float = 1.0,
     plan: str | Plan = "auto",
     optics: Optics | None = None,
     variant: str = "auto",
@@ -82,6 +83,8 @@ def render_set(
         spp: Samples per pixel, rounded up to whole passes; 256 if neither this nor `target_error`.
         target_error: Relative RMSE (noise and omitted light, over mean radiance) at which each view stops; its samples
             then go where a short pilot saw noise, instead of evenly over all pixels.
+        truth_samples: Times these samples in held-out views (every 8th), which are the truth that others are judged
+            by; of a target error, a target smaller by the root of it.
         plan: A plan from `plan_transport`; "auto" to make one, measuring everything if the job is long; or "rgb" for
             plain path tracing to depth 64 without a plan.
         optics: Aperture, motion and colour filters; None for the lens of the scene's own sensor, at rest and seeing
@@ -97,7 +100,7 @@ def render_set(
             scene renders to impossible radiance.
         BlockingIOError: If another process is writing to `out`.
     """
-    _check_quality(spp, target_error)
+    _check_quality(spp, target_error, truth_samples)
     if unknown := set(export) - set(EXPORTS):
         raise ValueError(f"render_set: export must name layouts of {sorted(EXPORTS)}, got {sorted(unknown)}")
     report = progress or (lambda done, total, what: None)
@@ -111,13 +114,13 @@ def render_set(
             if rig is None:
                 rig = usual_rig(source, loaded, 32, 128, 128)
         config = {
-            "format": LENS_FORMAT if optics.aperture_radius else FORMAT, "scene": loaded.name,
+            "format": FORMAT, "scene": loaded.name,
             "scene_digest": loaded.digest, "seed": seed, "optics": asdict(optics),
             "spp": spp if spp is not None or target_error is not None else DEFAULT_SPP, "target_error": target_error,
             "plan": plan_identity(plan), "variant": variant,
         }  # fmt: skip
         names = numbered(len(rig))
-        digest = job_digest(config, rig)
+        digest = job_digest({**config, "truth_samples": truth_samples}, rig)
         if is_complete(out, digest, names):
             (out / SPENT).unlink(missing_ok=True)  # of a process that was killed before its very last step
             return _exported(load_set(out), export)
@@ -146,12 +149,14 @@ def render_set(
         (out / "set.json").unlink(missing_ok=True)
         watch.earlier = seconds_spent(out, digest)
         with view_store(out, rig, optics.camera) as store:
-            job = RenderJob(method, made, loaded, loaded.variant, rig, out, names, pixels, digest, store, watch, report)
+            job = RenderJob(method, made, loaded, loaded.variant, rig, out, names, pixels, digest, store, watch, report,
+                            truth_samples)  # fmt: skip
             views, predicted = render_views(job)
             with watch.stage("write"):
                 finished = finish_set(out, names, rig, seed, store, loaded.name)
         found = {**finished, "views": views, "predicted_seconds": predicted}
-        write_json(out / "set.json", without_nan({**config, "digest": digest, **_facts(job, made), **found}))
+        whole = {**config, "truth_samples": truth_samples, "digest": digest, **_facts(job, made), **found}
+        write_json(out / "set.json", without_nan(whole))
         (out / SPENT).unlink(missing_ok=True)
         return _exported(load_set(out), export)
 
@@ -174,13 +179,15 @@ def _exported(views: MultiviewSet, layouts: Sequence[str]) -> MultiviewSet:
     return views
 
 
-def _check_quality(spp: int | None, target_error: float | None) -> None:
+def _check_quality(spp: int | None, target_error: float | None, truth_samples: float) -> None:
     if spp is not None and target_error is not None:
         raise ValueError("render_set: give spp or target_error, not both")
     if spp is not None and spp < 2:
         raise ValueError(f"render_set: spp must be >= 2, because the variance needs two halves, got {spp}")
     if target_error is not None and not 0 < target_error < 1:
         raise ValueError(f"render_set: target_error is a relative RMSE and must lie in (0, 1), got {target_error}")
+    if not 1 <= truth_samples <= MOST_TRUTH:
+        raise ValueError(f"render_set: truth_samples must be 1 to {MOST_TRUTH}, got {truth_samples}")
 
 
 def _make_plan(

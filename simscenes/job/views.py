@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import sqrt
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from simscenes.render.geometry import geometry_channels
 from simscenes.render.radiance import RenderedView, RenderMethod, Tick
 from simscenes.rigs import Rig
 from simscenes.sets.pictures.exr import write_exr
-from simscenes.sets.writers.camera_files import write_json
+from simscenes.sets.writers.camera_files import is_test_view, write_json
 from simscenes.transport.plan import TransportPlan
 
 QUARTERS = "noise by brightness"  # beside the header's entries; not in the file, since it follows from the pixels
@@ -42,6 +43,17 @@ class RenderJob:
     store: ViewStore
     watch: Stopwatch
     progress: Progress
+    truth_samples: float = 1.0  # times the samples of other views, in held-out ones
+
+    def worth(self, i: int) -> float:
+        """How many times the samples of a training view one gets: `truth_samples` if it is held out."""
+        return self.truth_samples if is_test_view(i) else 1.0
+
+    def config_of(self, i: int) -> dict[str, Any]:
+        """Everything that the pixels of a view depend on; more samples in it are a smaller target."""
+        spp, target, worth = self.config["spp"], self.config["noise_target"], self.worth(i)
+        return {**self.config, "spp": None if spp is None else round(spp * worth),
+                "noise_target": None if target is None else target / sqrt(worth)}  # fmt: skip
 
 
 def render_views(job: RenderJob) -> tuple[dict[str, Any], float]:
@@ -50,7 +62,7 @@ def render_views(job: RenderJob) -> tuple[dict[str, Any], float]:
     paths = [job.out / "gt" / f"{name}.exr" for name in job.names]
     for stale in set((job.out / "gt").glob("[0-9]*.exr")) - set(paths):  # of a larger set; other files are not ours
         stale.unlink()
-    keys = [view_key(job.config, job.rig, i) for i in range(len(paths))]
+    keys = [view_key(job.config_of(i), job.rig, i) for i in range(len(paths))]
     headers = [_rendered_before(job, i, path, key) for i, (path, key) in enumerate(zip(paths, keys, strict=True))]
     missing = [i for i, header in enumerate(headers) if header is None]
     predicted, views = 0.0, {i: RenderedView(job.method, job.rig, i) for i in missing}
@@ -58,12 +70,13 @@ def render_views(job: RenderJob) -> tuple[dict[str, Any], float]:
         job.progress(len(paths) - len(missing), len(paths), "predicting the time")
         with job.watch.stage("predict"):
             with using_variant(job.method.variant):
-                predicted = predict_seconds(job.method, job.rig, views, job.config["spp"], job.config["noise_target"])
-    left = predicted / max(len(missing), 1)  # seconds per view
+                spp, target, worth = job.config["spp"], job.config["noise_target"], sum(map(job.worth, missing))
+                predicted = predict_seconds(job.method, job.rig, views, spp, target, worth)
+    left = predicted / max(sum(map(job.worth, missing)), 1)  # seconds per view of usual samples
     for done, i in enumerate(missing):
 
         def tick(part: float, i: int = i, done: int = done, each: float = left) -> None:
-            seconds = each * (len(missing) - done - part)
+            seconds = each * (sum(map(job.worth, missing[done:])) - part * job.worth(i))
             what = f"view {job.names[i]}, {part:.0%}, about {seconds:.0f} s left"
             job.progress(len(paths) - len(missing) + done, len(paths), what)
 
@@ -71,7 +84,8 @@ def render_views(job: RenderJob) -> tuple[dict[str, Any], float]:
         headers[i] = _render_view(job, views.pop(i), paths[i], keys[i], tick)
         write_json(job.out / SPENT, {"digest": job.digest, "seconds": job.watch.with_earlier()})
         # From here on, past views predict better than the pilot did; only radiance and geometry repeat for each view.
-        left = (job.watch.seconds["radiance"] + job.watch.seconds["geometry"]) / (done + 1)
+        spent = job.watch.seconds["radiance"] + job.watch.seconds["geometry"]
+        left = spent / sum(map(job.worth, missing[: done + 1]))
     found = {
         name: {"spp": int(h["spp"]), "fireflies": int(h["fireflies"]),
                **claimed(float(h["relativeError"]), h[QUARTERS], job.plan)}
@@ -98,10 +112,12 @@ def _render_view(job: RenderJob, view: RenderedView, path: Path, key: str, tick:
     with job.watch.stage("geometry"), using_variant(job.variant) as mi:
         channels = geometry_channels(mi, job.surfaces, job.rig, view.i)
     with job.watch.stage("radiance"), using_variant(job.method.variant):
-        radiance = view.render(job.config["spp"], job.config["noise_target"], tick)
+        config = job.config_of(view.i)
+        radiance = view.render(config["spp"], config["noise_target"], tick)
     for k, c in enumerate("RGB"):
         channels[c] = np.maximum(radiance.mean[..., k], 0)  # clips spectral light that lies outside the sRGB triangle
         channels[f"var.{c}"] = radiance.variance[..., k]
+        channels[f"half.{c}"] = radiance.half[..., k]
     error = float(np.float32(radiance.error))  # as the header keeps it: a resumed render reports the value it reads
     header = {
         "spp": radiance.spp, "relativeError": error, "fireflies": radiance.fireflies, VIEW_KEY: key,

@@ -27,6 +27,8 @@ class Radiance:
         mean: Radiance, float32 [h,w,3].
         variance: Estimated variance of `mean`, float32 [h,w,3], averaged over 3 x 3 pixels: unbiased for that average,
             and in sum for the view. It has up to 9 degrees of freedom in each pixel.
+        half: Half the difference between the means of the two sequences, float32 [h,w,3]: added to `mean` and taken
+            from it, it gives two independent pictures of half the samples. Its square is the variance of each pixel.
         spp: Samples per pixel behind `mean`, on average over the view.
         error: Relative RMSE: root of the mean variance over the mean radiance.
         fireflies: Pixels whose variance is far above their neighbourhood's: rare bright paths.
@@ -34,6 +36,7 @@ class Radiance:
 
     mean: NDArray[np.float32]
     variance: NDArray[np.float32]
+    half: NDArray[np.float32]
     spp: int
     error: float
     fireflies: int
@@ -106,8 +109,12 @@ class Sequences:
 
     def variance(self) -> NDArray[np.float64]:
         """Unbiased variance of `mean`, from the two sequences: one degree of freedom in each pixel."""
+        return self.half() ** 2
+
+    def half(self) -> NDArray[np.float64]:
+        """Half the difference between the means of the two sequences, [h,w,3]."""
         first, second = self._means()
-        return np.asarray((first - second) ** 2 / 4)
+        return np.asarray((first - second) / 2)
 
     def error(self, margin: float = 0.0) -> float:
         """Relative RMSE of the mean so far; with `margin` standard errors of its square more, pixels being independent.
@@ -121,7 +128,7 @@ class Sequences:
 
     def result(self) -> Radiance:
         """Mean, variance of the mean, and relative error of the whole view."""
-        return summary(self.mean(), self.variance(), self.spp)
+        return summary(self.mean(), self.half(), self.spp)
 
     def _means(self) -> NDArray[np.float64]:
         return self.sums / np.maximum(self.count, 1)[..., None]
@@ -133,11 +140,13 @@ def relative_error(mean: NDArray[np.float64], variance: NDArray[np.float64]) -> 
     return float(np.sqrt(variance.mean())) / level if level > 0 else 0.0
 
 
-def summary(mean: NDArray[np.float64], variance: NDArray[np.float64], spp: float) -> Radiance:
-    """A view from its mean and the variance of that in every pixel, [h,w,3]."""
+def summary(mean: NDArray[np.float64], half: NDArray[np.float64], spp: float) -> Radiance:
+    """A view from its mean and half the difference of its two sequences in every pixel, [h,w,3]."""
+    variance = half**2
     return Radiance(
         mean=mean.astype(np.float32),
         variance=pooled(variance).astype(np.float32),
+        half=half.astype(np.float32),
         spp=round(spp),
         error=relative_error(mean, variance),
         fireflies=count_fireflies(variance.mean(-1), float(mean.mean())),

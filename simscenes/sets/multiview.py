@@ -149,6 +149,17 @@ class MultiviewSet:
         names = ("var.R", "var.G", "var.B")
         return _stack(self._truth(i, *names), *names) if self.kind == "rendered" else None
 
+    def half(self, i: int) -> Float32 | None:
+        """Half the difference between the two halves of the samples of view `i`, float32 [h,w,3].
+
+        `radiance(i)` with it added and with it taken away are two independent renders. None for photographs, and for
+        sets of versions that did not keep it.
+        """
+        if self.kind != "rendered":
+            return None
+        names, channels = ("half.R", "half.G", "half.B"), self._truth(i, "R")
+        return _stack(channels, *names) if names[0] in channels else None
+
     def geometry(self, i: int) -> dict[str, NDArray[Any]] | None:
         """The surface that the ray through each pixel centre hits; None for photographs.
 

@@ -95,11 +95,12 @@ def _stored(light: Radiance) -> Radiance:
     """What a file gives back of it."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "light.exr"
-        planes = {f"{kind}.{c}": getattr(light, kind)[..., c] for kind in ("mean", "variance") for c in range(3)}
+        kinds = ("mean", "variance", "half")
+        planes = {f"{kind}.{c}": getattr(light, kind)[..., c] for kind in kinds for c in range(3)}
         write_exr(path, planes)
         found, _ = read_exr(path)
-    mean, variance = (np.stack([found[f"{kind}.{c}"] for c in range(3)], -1) for kind in ("mean", "variance"))
-    return Radiance(mean=mean, variance=variance, spp=light.spp, error=light.error, fireflies=light.fireflies)
+    stacked = {kind: np.stack([found[f"{kind}.{c}"] for c in range(3)], -1) for kind in kinds}
+    return Radiance(**stacked, spp=light.spp, error=light.error, fireflies=light.fireflies)
 
 
 @PART.case("light that grazes a floor at 0.1 to 1e-5 rad", bound=8 * EPS, unit="relative", backends=BOTH)

@@ -168,18 +168,33 @@ class Source:
         if not self.scaled:
             self._say_background(i)
             return self.views.image(i).astype(np.float32) / 255
+        return self.shown(self.radiance(i))
+
+    def shown(self, light: np.ndarray) -> np.ndarray:
+        """Light in the unit of `radiance`, [h,w,3], as a well-lit picture of this set.
+
+        Raises:
+            ValueError: If the set's exposure is out of range.
+        """
         exposure = float(self.views.meta.get("exposure_scale", 1.0))
         if not 0 < exposure <= EXPOSURES:
             raise ValueError(
                 f"exposure_scale of {self.views.path} must be > 0 and at most {EXPOSURES:g}, got {exposure:g}: "
                 "render the set again"
             )
-        light = self.radiance(i)
         if self.filters is not None:  # back through the matrix, as the set's own images were made
             light = np.asarray((light * self.response) @ np.linalg.inv(self.filters).T, np.float32)
         with np.errstate(over="ignore"):  # beyond float32 is white
             shown = light * np.float32(exposure)
         return linear_to_srgb(np.clip(shown, 0.0, 1.0)).astype(np.float32)
+
+    def half(self, i: int) -> np.ndarray | None:
+        """Half the difference between two independent renders whose mean is `radiance(i)`; None where it is not known,
+        of photographs above all.
+        """
+        if (half := self.views.half(i)) is None:
+            return None
+        return self._fit(half if self.response is None else np.divide(half, self.response, dtype=np.float32))
 
     def points(self) -> SparsePoints | None:
         """The set's sparse points with their tracks through the pictures of this size; tested ones where it has none.

@@ -4,7 +4,7 @@ Images are float [h,w,3], sRGB-encoded. Renders may overshoot 0..1 a little. `im
 unclipped image; for all other scores, and after the affine fit, it is clipped to 0..1, as a display would.
 """
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 from typing import Any, TypeVar
 
@@ -16,6 +16,7 @@ from novags.testbed.metrics import METRICS
 from novags.testbed.metrics.metric import Metric
 from novags.testbed.metrics.picture import Image
 from novags.testbed.metrics.tone import affine_aligned, check_pair, tone_aligned, with_contrast
+from novags.testbed.metrics.truth import BIAS, ERROR, VARIANCE, Halves, leverage, named, squared_error, variance_of
 from sensor_model.files.outside import once
 from sensor_model.files.reading import brief
 
@@ -28,7 +29,10 @@ ImageScores = dict[str, float | None]
 """Scores of one image against one reference, by the names of `METRICS`.
 
 A score by a network that was not requested is None. Aligned scores count only channels of the reference with contrast
-(`with_contrast`); without such a channel they are None.
+(`with_contrast`); without such a channel they are None. Of a reference with known noise every PSNR has its standard
+error beside it (`psnr_error`, dB), our other scores how far that noise has moved them (`ssim_bias`), and
+`truth_variance` is the mean variance of the reference. A PSNR of which that noise leaves nothing is None, with an
+infinite error.
 """
 
 
@@ -102,10 +106,19 @@ def delta_e(image: Image, reference: Image) -> float:
 
 
 ALIGNED_PSNR = Metric(
-    heading="PSNR aligned", score=_psnr, more=True, unit="dB", digits=2, aligned="affine", in_studies=False
+    heading="PSNR aligned",
+    score=_psnr,
+    more=True,
+    unit="dB",
+    digits=2,
+    aligned="affine",
+    in_studies=False,
+    squared=True,
 )
-TONE_ALIGNED_PSNR = Metric(heading="PSNR tone-aligned", score=_psnr, more=True, unit="dB", digits=2, aligned="tone")
-PSNR = Metric(heading="PSNR", score=psnr, more=True, unit="dB", digits=2)
+TONE_ALIGNED_PSNR = Metric(
+    heading="PSNR tone-aligned", score=_psnr, more=True, unit="dB", digits=2, aligned="tone", squared=True
+)
+PSNR = Metric(heading="PSNR", score=psnr, more=True, unit="dB", digits=2, squared=True)
 ALIGNED_SSIM = Metric(heading="SSIM aligned", score=_ssim, more=True, aligned="affine", in_studies=False)
 TONE_ALIGNED_SSIM = Metric(heading="SSIM tone-aligned", score=_ssim, more=True, aligned="tone", in_studies=False)
 SSIM = Metric(heading="SSIM", score=ssim, more=True)
@@ -113,13 +126,17 @@ FLIP = Metric(heading="FLIP", score=flip, more=False)
 DELTA_E = Metric(heading="ΔE2000", score=delta_e, more=False, digits=2, in_studies=False)
 
 
-def image_scores(image: Image, reference: Image, networks: Collection[str] = ()) -> ImageScores:
+def image_scores(
+    image: Image, reference: Image, networks: Collection[str] = (), halves: Halves | None = None
+) -> ImageScores:
     """All scores of one image against one reference in 0..1.
 
     Args:
         image: What was rendered; it may overshoot 0..1.
         reference: The truth.
         networks: Which of the scores by networks to compute; the others are None.
+        halves: The reference from each half of its samples, where it was rendered: its noise is taken out of every
+            PSNR, and measured in our other scores. None: the reference counts as it is.
 
     Raises:
         ValueError: If the shapes differ, a value is not finite, or the images are smaller than the window of SSIM.
@@ -136,7 +153,38 @@ def image_scores(image: Image, reference: Image, networks: Collection[str] = ())
         channels = np.ones(3, bool) if metric.aligned == "none" else contrast
         score = metric.score if METRICS.origin_of(name) is None else partial(_of_others, name)
         found[name] = _over(channels, score, pictures[metric.aligned], reference) if asked else None
-    return found
+    if halves is None:
+        return found
+    against = [image_scores(image, half) for half in halves]
+    biases = {name + BIAS: _bias(found[name], [half[name] for half in against]) for name in _unsquared()}
+    return {**found, **_without_noise(pictures, reference, variance_of(*halves), contrast), **biases}
+
+
+def _unsquared() -> list[str]:
+    """Our scores of which the noise of the truth is measured and not taken out: not those by networks."""
+    return [name for name, metric in METRICS.items()
+            if not metric.squared and metric.missing is None and METRICS.origin_of(name) is None]  # fmt: skip
+
+
+def _bias(score: float | None, of_halves: Sequence[float | None]) -> float | None:
+    known = [half for half in of_halves if half is not None]
+    return None if score is None or len(known) < 2 else float(np.mean(known)) - score
+
+
+def _without_noise(
+    pictures: Mapping[str, Image], reference: Image, variance: NDArray[np.float64], contrast: NDArray[np.bool_]
+) -> ImageScores:
+    """Every PSNR without the noise of the reference, the standard errors, and the mean variance."""
+    found: ImageScores = {}
+    for name, metric in METRICS.items():
+        if not metric.squared:
+            continue
+        image, kind = pictures[metric.aligned], metric.aligned
+        chosen = np.ones(3, bool) if kind == "none" else contrast
+        pair = (image[..., chosen], reference[..., chosen], variance[..., chosen])
+        known = squared_error(*pair, leverage(pair[0], kind)).decibels(PSNR_CEILING) if chosen.any() else (None, None)
+        found |= named(name, known)
+    return {**found, VARIANCE: float(variance.mean())}
 
 
 def _of_others(name: str, image: Image, reference: Image) -> float | None:
@@ -162,12 +210,19 @@ def _over(
 
 
 def mean_scores(scores: Sequence[Scores]) -> Scores:
-    """Mean over views of each score of any of the score dictionaries; a score that no view has stays None."""
+    """Mean over views of each score of any of the score dictionaries; a score that no view has stays None.
+
+    Standard errors by the truth's noise (`psnr_error`) become that of the mean of the views that have the score, of
+    which they are independent; infinite where none has.
+    """
     if not scores:
         raise ValueError("there are no views to average")
     table: Any = scores  # TypedDicts share no type with their keys as variables
     values = {name: [view[name] for view in table if view[name] is not None] for name in table[0]}
     mean: Any = {name: float(np.mean(found)) if found else None for name, found in values.items()}
+    for name in (name for name in mean if name.endswith(ERROR)):
+        known = [error for error in values[name] if np.isfinite(error)]
+        mean[name] = float(np.linalg.norm(known)) / len(known) if known else max(values[name], default=None)
     return mean
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from novags.testbed.metrics.images import PSNR_CEILING, psnr
 from novags.testbed.metrics.picture import Image
 from novags.testbed.metrics.tone import check_pair
+from novags.testbed.metrics.truth import VARIANCE, Halves, named, squared_error, variance_of
 
 
 def exposure_gain(pairs: Iterable[tuple[Image, Image]], white: float = 1.0) -> float:
@@ -56,6 +57,25 @@ def linear_psnr(image: Image, reference: Image, gain: float, white: float = 1.0)
     _check_positive("white", white)
     exposed, true = np.asarray(image, np.float64) * (gain / white), np.asarray(reference, np.float64) / white
     return psnr(np.clip(exposed, 0.0, 1.0), np.clip(true, 0.0, 1.0))
+
+
+def linear_scores(
+    image: Image, reference: Image, gain: float | None, halves: Halves | None = None
+) -> dict[str, float | None]:
+    """`linear_psnr` for a white of 1, None where no gain is known or the reference is black.
+
+    With the two `halves` of a rendered truth: without its noise, and with the standard error, as `image_scores`.
+    """
+    if gain is None or is_black(reference):
+        found = None
+    elif halves is None:
+        found = linear_psnr(image, reference, gain)
+    else:
+        check_pair(image, reference)
+        exposed, true, *pair = (np.clip(light, 0.0, 1.0) for light in (image * np.float32(gain), reference, *halves))
+        known = squared_error(exposed, true, variance_of(*pair))
+        return {**named("linear_psnr", known.decibels(PSNR_CEILING)), VARIANCE: float(variance_of(*pair).mean())}
+    return {"linear_psnr": found}
 
 
 def is_black(reference: Image, white: float = 1.0) -> bool:

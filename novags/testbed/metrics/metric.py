@@ -21,6 +21,8 @@ class Metric:
         aligned: What brings the image to the tone of the reference first: per channel a gain and an offset ("affine")
             or a monotone curve ("tone"). Only channels of the reference with contrast take part then.
         in_studies: Whether pages on studies show it, against the well-lit pictures.
+        squared: Whether it is a PSNR: the known variance of a rendered truth is subtracted from its squared error.
+            Other scores keep the bias that the truth's noise gives them; it is measured beside them.
         missing: (width, height) -> why it cannot be computed here, of pictures of that size if one is given; None if it
             can. For scores by networks, whose weights may not be there.
     """
@@ -32,4 +34,5 @@ class Metric:
     digits: int = 3
     aligned: Literal["none", "affine", "tone"] = "none"
     in_studies: bool = True
+    squared: bool = False
     missing: Callable[..., str | None] | None = None

@@ -2,11 +2,15 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from math import isclose
+from statistics import fmean
 from typing import Any
 
 from novags.testbed.metrics import METRICS
-from novags.testbed.report.tables import is_plain, measured, ranks, spread_of
-from novags.testbed.report.words import join
+from novags.testbed.metrics.differences import Estimate, Values, difference, places
+from novags.testbed.report.tables import is_plain, measured, spread_of
+from novags.testbed.report.words import join, signed
+from novags.testbed.stages.scores.comparing import SHARES, values_of
 from novags.testbed.study.cells.grid import spelled
 from novags.testbed.study.light import METHOD, SEED
 
@@ -32,6 +36,10 @@ SILENT = ("over.enhanced", "over.lit", "recovered", "recovered_lit", "seconds.re
 OWN = ("enhanced.flip", "enhanced.aligned_psnr", "over.enhanced", "recovered")  # compare with a method's own reference
 LINEAR = "linear"  # begins the columns that methods have which end in linear light; of photographs they hold no value
 SCALES = {"peak_bytes": 1e-6}
+# Of these columns the values of another say whether they differ.
+DERIVED = {f"over.{kind}": f"{kind}.{number}" for kind, number in SHARES.values()} | {
+    column: f"{kind}.{number}" for column, (kind, number) in SHARES.items()}  # fmt: skip
+SCENE = "scene"
 
 
 def columns() -> tuple[tuple[str, str, str, bool, int], ...]:
@@ -58,6 +66,7 @@ class Line:
     spread: dict[str, tuple[float, float | None]] = field(default_factory=dict)
     places: dict[str, int] = field(default_factory=dict)  # its rank among competing lines at the same place, by column
     alike: bool = True  # whether references at this place are enhanced alike: else scores against them rank nothing
+    values: dict[str, Values] = field(default_factory=dict)  # by scene, seed and view, where there are any, by column
 
     @property
     def where(self) -> str:
@@ -72,12 +81,12 @@ class Line:
 
 def lines_of(
     rows: Sequence[Row], axes: Mapping[str, Any], competes: Mapping[str, bool],
-    enhancements: Mapping[int, str] | None = None,
+    enhancements: Mapping[int, str] | None = None, scores: Mapping[int, Mapping[str, Any]] | None = None,
 ) -> list[Line]:  # fmt: skip
     """One line for each combination of all axes but the seed of a study's table, best first at each place.
 
     `competes`: whether a method may be the best, by name; `enhancements`: what the noise-free pictures of each run are
-    enhanced by, by number of the row, where known.
+    enhanced by, by number of the row, where known; `scores`: of the runs view by view, likewise.
     """
     others = [name for name in axes if name not in (METHOD, SEED)]
     groups: dict[tuple[Any, ...], Line] = {}
@@ -91,17 +100,18 @@ def lines_of(
             if values:
                 over = spread_of(values, True)
                 line.spread[column] = (float(over["mean"] or 0.0), over["sd"])
+                line.values[column] = _values(line, column, scores or {})
     found = []
     for members in by_place(list(groups.values())).values():
         numbers = [row["run"] for line in members for row in line.runs if "run" in row]
         alike = len({(enhancements or {}).get(number) for number in numbers} - {None}) <= 1
         for line in members:
             line.alike = alike
-        for column, _, _, more, _ in columns():
-            known = {line.method: line.spread[column][0] for line in members
-                     if column in line.spread and competes[line.method] and (alike or column not in OWN)
+        for column, _, _, more, digits in columns():
+            known = {line.method: line.values[column] for line in members
+                     if column in line.values and competes[line.method] and (alike or column not in OWN)
                      and not (is_helped(column) and line.in_linear_light)}  # fmt: skip
-            for name, rank in ranks(known, more).items():
+            for name, rank in places(known, more, digits).items():
                 next(line for line in members if line.method == name).places[column] = rank
         found += sorted(members, key=_main)
     return found
@@ -128,20 +138,64 @@ def main_column(lines: Sequence[Line]) -> str | None:
 
 
 def verdict(lines: Sequence[Line], competes: Mapping[str, bool]) -> str:
-    """How often which method comes first, by the main score and by all others that disagree."""
+    """How often which method comes first, by the main score and by all others that disagree; over several scenes, by
+    how much.
+    """
     if (main := main_column(lines)) is None:
         return "No score is known of all runs, so no method comes first."
     if not any(competes[line.method] for line in lines):
         return "Only methods that see truth were run."
     headings = {column: heading for column, heading, *_ in columns()}
-    found = first_places(lines, main)
-    if not found:
+    found, of = first_places(lines, main), comparisons(lines, main)
+    if not of:
         return f"Nowhere do two methods that see no truth compete by {headings[main]}, so none comes first."
+    if not found:
+        told = f"No difference is seen: in {_counted(of)} by {headings[main]} no method that sees no truth comes first."
+        return told + _overall(lines, main, competes)
     best = next(iter(found))
     others = [f"{name} in {times}" for name, times in found.items() if name != best]
+    others += [f"no difference is seen in {of - sum(found.values())}"] if sum(found.values()) < of else []
     rest = f"; {join(others)}" if others else ""
-    text = f"{best} comes first in {found[best]} of {sum(found.values())} comparisons by {headings[main]}{rest}."
-    return text + _dissent(lines, main, best)
+    text = f"{best} comes first in {found[best]} of {_counted(of)} by {headings[main]}{rest}."
+    return text + _overall(lines, main, competes) + _dissent(lines, main, best)
+
+
+def _counted(count: int) -> str:
+    return f"{count} comparison{'' if count == 1 else 's'}"
+
+
+def _overall(lines: Sequence[Line], main: str, competes: Mapping[str, bool]) -> str:
+    """Over the scenes of a study: how far the method with the largest mean is above each other one, where all else is
+    alike.
+    """
+    values = over_scenes(lines, main)
+    said = []
+    for place, methods in values.items():
+        known = {name: own for name, own in methods.items() if competes[name]}
+        if len({scene for own in known.values() for scene, _, _ in own}) < 2 or len(known) < 2:
+            continue
+        best = max(known, key=lambda name: sum(known[name].values()) / len(known[name]))
+        apart = {name: found for name in known if name != best and (found := difference(known[best], known[name]))}
+        listed = [f"{_apart(found)} from {name}" for name, found in apart.items()]
+        where = next(iter(apart.values())).where
+        said.append(f" Over {where}{f' ({place})' if place else ''}, {best} is {join(listed)}.")
+    return "".join(said)
+
+
+def _apart(found: Estimate) -> str:
+    error = "" if found.error is None else f" ± {found.error:.2f}"
+    return f"{signed(found.value)}{error}{'' if found.seen else ' (not seen to differ)'}"
+
+
+def over_scenes(lines: Sequence[Line], column: str) -> dict[str, dict[str, Values]]:
+    """The values of a column by method, by all axes but the scene."""
+    found: dict[str, dict[str, Values]] = {}
+    for line in lines:
+        if column in line.values:
+            place = spelled({name: value for name, value in line.place.items() if name != SCENE})
+            own = found.setdefault(place, {})
+            own[line.method] = {**own.get(line.method, {}), **line.values[column]}
+    return found
 
 
 def _dissent(lines: Sequence[Line], main: str, best: str) -> str:
@@ -152,20 +206,41 @@ def _dissent(lines: Sequence[Line], main: str, best: str) -> str:
         found = first_places(lines, column) if placed and column not in (main, *SILENT) else {}
         winner = next(iter(found), best)
         if winner != best:
-            said = f"{winner} comes first in {found[winner]} of {sum(found.values())}, {best} in {found.get(best, 0)}"
+            of = comparisons(lines, column)
+            said = f"{winner} comes first in {found[winner]} of {of}, {best} in {found.get(best, 0)}"
             apart.setdefault(said, []).append(heading)
     return "".join(f" Not so by {'; '.join(scores)}: there {said}." for said, scores in apart.items())
 
 
+def comparisons(lines: Sequence[Line], column: str) -> int:
+    """At how many places several methods compete by a column."""
+    return sum(sum(column in line.places for line in members) > 1 for members in by_place(lines).values())
+
+
 def first_places(lines: Sequence[Line], column: str) -> dict[str, int]:
-    """How often each method comes first by a column, most often first; places with one rival do not count."""
+    """How often each method alone comes first by a column, most often first; places with one rival do not count."""
     found: dict[str, int] = {}
     for members in by_place(lines).values():
         placed = [line for line in members if column in line.places]
-        if len(placed) > 1:
-            winner = min(placed, key=lambda line: line.places[column]).method
-            found[winner] = found.get(winner, 0) + 1
+        leaders = [line.method for line in placed if line.places[column] == 1]
+        if len(placed) > 1 and len(leaders) == 1:
+            found[leaders[0]] = found.get(leaders[0], 0) + 1
     return dict(sorted(found.items(), key=lambda item: -item[1]))
+
+
+def _values(line: Line, column: str, scores: Mapping[int, Mapping[str, Any]]) -> Values:
+    """The values of a line by scene, seed and view; of runs of which only the mean is known, that."""
+    source = DERIVED.get(column, column)
+    kind, _, number = source.partition(".")
+    found: dict[tuple[str, str, str], float] = {}
+    for row in line.runs:
+        if (mean := _value(row, source)) is None:
+            continue
+        scene, seed = str(line.place.get(SCENE, "")), str(row.get(SEED, ""))
+        views = values_of(scores.get(int(row.get("run", 0)), {}), kind, number, scene, seed) if number else {}
+        alike = isclose(fmean(views.values()), mean, rel_tol=1e-6) if views else False
+        found |= views if alike else {(scene, seed, ""): mean}  # the run may have been scored again since
+    return found
 
 
 def _value(row: Row, column: str) -> float | None:

@@ -21,7 +21,8 @@ from novags.testbed.ledger.contents import read_json
 from novags.testbed.report.again import score_again
 from novags.testbed.report.grid import CAPTURE, Line, lines_of
 from novags.testbed.report.place import MAIN, Place
-from novags.testbed.report.rows import Row, enhancement_of, rows_of
+from novags.testbed.report.rows import Row, rows_of
+from novags.testbed.stages.scores.comparing import enhancement_of, with_errors
 from novags.testbed.study.light import METHOD
 from novags.testbed.study.results import flat_scores
 from sensor_model.files.door import resolved
@@ -80,8 +81,9 @@ class Material:
     @cached_property
     def lines(self) -> list[Line]:
         """The runs that differ in their seed alone, best first at each place."""
-        enhancements = {number: enhancement_of(each.run) for number, each in self.made.items()}
-        return lines_of(self.rows, self.axes, self.competes, enhancements)
+        enhancements = {number: enhancement_of(each.run.record) for number, each in self.made.items()}
+        scores = {number: own for number, each in self.made.items() if (own := each.run.scores()) is not None}
+        return lines_of(self.rows, self.axes, self.competes, enhancements, scores)
 
     @property
     def competes(self) -> dict[str, bool]:
@@ -182,7 +184,7 @@ def _rows(places: Mapping[str, Place]) -> list[dict[str, Any]]:
         columns = {**{f"over.{kind}": place.deltas(kind)[0] for kind in MAIN},
                    **{key: place.metrics[key] for key in ("recovered", "recovered_lit")}}  # fmt: skip
         for name in place.runs:
-            own = {column: values[name] for column, values in columns.items() if name in values}
+            own = with_errors({column: values[name] for column, values in columns.items() if name in values})
             row = {"run": len(found) + 1, CAPTURE: title, METHOD: name, "state": "done"}
             found.append({**flat_scores(place.metrics["methods"][name]), **own, **row})
     return found

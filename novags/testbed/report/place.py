@@ -15,8 +15,9 @@ from novags.testbed.folders.run import Run
 from novags.testbed.folders.runs import EXPERIMENT, runs_in
 from novags.testbed.folders.set import Source
 from novags.testbed.ledger.contents import read_json
+from novags.testbed.metrics.differences import Estimate
 from novags.testbed.report.rows import Row, main_row, rows_of
-from novags.testbed.stages.scores.scoring import deltas, recovered_shares
+from novags.testbed.stages.scores.comparing import deltas, recovered_shares
 
 MAIN = {"enhanced": "aligned_psnr", "lit": "tone_aligned_psnr"}  # the score of each reference that runs are compared by
 
@@ -66,7 +67,7 @@ class Place:
         """The run at that end of the scale, if there is one."""
         return next((row.name for row in self.rows.values() if row.bound == end), None)
 
-    def deltas(self, kind: str) -> tuple[dict[str, float], str]:
+    def deltas(self, kind: str) -> tuple[dict[str, Estimate], str]:
         """The gain of each run over the floor, or over the first run, in the main score of a reference; and which of
         both.
         """

@@ -1,7 +1,6 @@
 """How a run appears in a report: title, family and colour, and where its settings differ from the published method."""
 
 import colorsys
-import json
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ from novags.settings import changed, flattened, has_setting
 from novags.testbed.folders.run import Run
 from novags.testbed.ledger.contents import jsonable
 from novags.testbed.ledger.difference import flat
+from novags.testbed.stages.scores.comparing import enhancement_of
 
 OTHER = "#777777"  # of a method that this version does not have
 UNLISTED = ("fit.checkpoint_every", "fit.seed", "fit.extent", "fit.backend")  # what every run sets for itself
@@ -33,12 +33,6 @@ class Row:
     enhancement: str  # what its noise-free reference is enhanced by: runs that differ in it have no reference in common
 
 
-def enhancement_of(run: Run) -> str:
-    """What a run's noise-free reference is enhanced by, as text to compare; "" where nothing is."""
-    found = run.record.get("enhancement") or {}
-    return json.dumps([found.get("enhancer"), found.get("config")], sort_keys=True) if found else ""
-
-
 def rows_of(runs: Mapping[str, Run]) -> dict[str, Row]:
     """The rows of a report's runs, by name, in their order."""
     rows, used = {}, list[str]()
@@ -51,7 +45,7 @@ def rows_of(runs: Mapping[str, Run]) -> dict[str, Row]:
             name=name, key=f"m{k}", method=run.method, title=title, family="" if method is None else method.family,
             color=color, bound=method.bound if method is not None and run.name == run.method else None,
             competes=not (saw_truth(run) or sees_statistics(run.record.get("config"))),
-            enhancement=enhancement_of(run),
+            enhancement=enhancement_of(run.record),
         )  # fmt: skip
     return rows
 

@@ -6,6 +6,8 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from novags.testbed.metrics import METRICS
+from novags.testbed.metrics.differences import Values, places
+from novags.testbed.metrics.truth import ERROR
 from sensor_model.files.reading import brief
 
 # key, heading, unit, whether more is better; the first is the main score
@@ -33,6 +35,7 @@ OWN = ("enhanced", "enhanced_demosaiced")  # references that every enhancement h
 GIVEN = ("known", "bias_floor")  # of these: facts of the enhanced pictures, by which no method is better
 
 Columns = tuple[tuple[str, str, str, bool], ...]
+Several = Callable[[str, str], Values]
 
 
 def columns(kind: str) -> Columns:
@@ -59,34 +62,27 @@ def scores_of(metrics: Mapping[str, Any], kind: str) -> dict[str, Mapping[str, A
 
 def ranked(
     values: Mapping[str, Mapping[str, Any]], shown: Columns, competes: Mapping[str, bool],
-    placed: Callable[[str, str], bool] = lambda name, key: True,
+    placed: Callable[[str, str], bool] = lambda name, key: True, several: Several | None = None,
 ) -> list[dict[str, Any]]:  # fmt: skip
-    """Rows of cells, of values by row and column, in the order of the first column, with the rank in each.
+    """Rows of cells, of values by row and column, in the order of the first column, with the place in each.
 
-    The best value among the competing ones is marked. `competes`: whether a row may be the best; other rows have no
-    rank. `placed`: (row, column) -> whether its value can be compared with the other rows'.
+    Values that are not seen to differ share a place (`differences.places`), and the best are marked where some are seen
+    to be worse. `competes`: whether a row may be the best; other rows have no place. `placed`: (row, column) -> whether
+    its value can be compared with the other rows'. `several`: (row, column) -> its values by view; None: one of each.
     """
-    places, rows = {}, []
+    ranks, rows = {}, []
     for key, _, _, more in shown:
         known = {name: found for name, row in values.items() if (found := measured(row.get(key))) is not None}
-        places[key] = ranks(
-            {name: value for name, value in known.items() if competes[name] and placed(name, key)}, more
-        )
+        own = {name: (several and several(name, key)) or {("", "", ""): value} for name, value in known.items()
+               if competes[name] and placed(name, key)}  # fmt: skip
+        ranks[key] = places(own, more, digits(key))
     for name, row in values.items():
-        ranked = {key: places[key].get(name) for key, *_ in shown}
-        cells = [{"key": key, "value": row.get(key), "rank": rank, "best": rank == 1 and len(places[key]) > 1}
-                 for key, rank in ranked.items()]  # fmt: skip
+        own_ranks = {key: ranks[key].get(name) for key, *_ in shown}
+        cells = [{"key": key, "value": row.get(key), "rank": rank, "error": measured(row.get(f"{key}{ERROR}")),
+                  "best": rank == 1 and max(ranks[key].values()) > 1} for key, rank in own_ranks.items()]  # fmt: skip
         rows.append({"method": name, "competes": competes[name], "cells": cells})
     key, _, _, more = shown[0]
     return sorted(rows, key=lambda row: _order(measured(values[row["method"]].get(key)), more))
-
-
-def ranks(values: Mapping[str, float], more_is_better: bool) -> dict[str, int]:
-    """The place of each: 1 for the best; equal values share a place, and the next ones are left out."""
-    return {
-        name: 1 + sum((other > value) if more_is_better else (other < value) for other in values.values())
-        for name, value in values.items()
-    }
 
 
 def measured(value: float | str | None) -> float | None:

@@ -4,12 +4,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from novags.testbed.console.terminal import Console
+from novags.testbed.metrics.differences import Estimate, Values, difference
 from novags.testbed.report.place import Place, places_in
 from novags.testbed.report.tables import GIVEN, OWN, columns, is_plain, measured, ranked, scores_of
-from novags.testbed.report.words import duration, join, signed
+from novags.testbed.report.words import duration, join, share, signed
+from novags.testbed.stages.scores.comparing import gains, values_of
 
 AGAINST = {
     "enhanced": "the noise-free exposure", "enhanced_demosaiced": "the noise-free exposure, demosaiced",
@@ -17,9 +17,6 @@ AGAINST = {
     "linear_demosaiced": "the noise-free exposure in linear light, demosaiced", "lit": "the well-lit truth",
     "geometry": "the true surfaces",
 }  # fmt: skip
-
-
-NO_GAIN = 0.3  # dB between the floor and the ceiling: less is what seeds and views differ by
 
 
 def leading(place: Place) -> tuple[str, str, str] | None:
@@ -50,8 +47,11 @@ def table_of(place: Place, kind: str) -> list[dict[str, Any]]:
         own = kind in OWN or key == "consistency" or kind == "noise"
         return key not in GIVEN and (place.one_reference or not own)
 
+    def several(name: str, key: str) -> Values:
+        return values_of(place.metrics["methods"][name], kind, key)
+
     competes = {name: row.competes for name, row in place.rows.items()}
-    return ranked(scores_of(place.metrics, kind), columns(kind), competes, placed)
+    return ranked(scores_of(place.metrics, kind), columns(kind), competes, placed, several)
 
 
 def _values(place: Place) -> dict[str, float | None]:
@@ -62,11 +62,27 @@ def _values(place: Place) -> dict[str, float | None]:
             for name, m in place.metrics["methods"].items()}  # fmt: skip
 
 
-def _recovered(place: Place) -> dict[str, float]:
+def _recovered(place: Place) -> dict[str, Estimate]:
     found_by = leading(place)
     key = "recovered" if found_by is not None and found_by[0] == "enhanced" else "recovered_lit"
-    found: dict[str, float] = place.metrics.get(key, {})
+    found: dict[str, Estimate] = place.metrics.get(key, {})
     return found
+
+
+def _above(place: Place, name: str, other: str) -> Estimate | None:
+    """How far a run is above another in the main score."""
+    if (found := leading(place)) is None:
+        return None
+    one, base = (values_of(place.metrics["methods"][each], *found[:2]) for each in (name, other))
+    return difference(one, base)
+
+
+def first(place: Place) -> list[str]:
+    """The runs that see no truth and that none is seen to be above by the main score, the largest first."""
+    if (found := leading(place)) is None:
+        return []
+    cells = {row["method"]: row["cells"][0] for row in table_of(place, found[0])}
+    return [name for name, cell in cells.items() if cell["rank"] == 1]
 
 
 def verdict(place: Place) -> str:
@@ -81,19 +97,33 @@ def verdict(place: Place) -> str:
     reached = value[best]
     if reached is None:
         return f"{best} has no score: the references show nothing but one colour, which any blank picture equals."
-    rivals = sum(row.competes for row in place.rows.values())
-    text = (
-        f"{best} {'comes first with' if rivals > 1 else 'reaches'} {reached:.2f} dB on the held-out views ({found[2]})"
-    )
-    if floor is not None and best != floor and (other := value[floor]) is not None:
-        gain = reached - other
-        text += f", {abs(gain):.2f} dB {'more' if gain >= 0 else 'less'} than {floor}"
+    alike = first(place)
+    if sum(row.competes for row in place.rows.values()) < 2 or not alike:
+        text = f"{best} reaches {reached:.2f} dB on the held-out views ({found[2]})"
+    elif len(alike) > 1:
+        low = min(value[name] or 0.0 for name in alike)
+        text = (
+            f"No difference is seen between {join(alike)}: {low:.2f} to {reached:.2f} dB on the held-out views "
+            f"({found[2]}), which views and seeds may make"
+        )
+    else:
+        text = f"{best} comes first with {reached:.2f} dB on the held-out views ({found[2]})"
+    if floor is not None and floor not in (best, *alike) and (gain := _above(place, best, floor)) is not None:
+        text += f", {_by(gain, floor)}"
     fraction = _recovered(place).get(best)
-    if fraction is not None and fraction > 0:
-        text += f"; that wins back {fraction:.0%} of what noise costs here"
-    if best != place.main and (ours := value[place.main]) is not None:
+    if fraction is not None and fraction.value > 0:
+        text += f"; that wins back {share(fraction.value, fraction.error)} of what noise costs here"
+    if place.main not in (best, *alike) and (ours := value[place.main]) is not None:
         text += f"; {place.main} reaches {ours:.2f} dB"
     return text + "." + _dissent(place, found[0], found[1], best) + limits(place)
+
+
+def _by(gain: Estimate, other: str) -> str:
+    """A gain over another run, with its error; or that none is seen."""
+    error = "" if gain.error is None else f" ± {gain.error:.2f}"
+    if gain.error is not None and not gain.seen:
+        return f"not seen to differ from {other} ({signed(gain.value)}{error} dB; {gain.where})"
+    return f"{abs(gain.value):.2f}{error} dB {'more' if gain.value >= 0 else 'less'} than {other} ({gain.where})"
 
 
 def limits(place: Place) -> str:
@@ -101,20 +131,13 @@ def limits(place: Place) -> str:
     floor, ceiling, found = place.bound("floor"), place.bound("ceiling"), leading(place)
     if floor is None or ceiling is None or found is None:
         return ""
-    values, (kind, number, _) = _values(place), found
-    low, high = values[floor], values[ceiling]
-    if low is None or high is None:
+    if (span := _above(place, ceiling, floor)) is None or gains(span):
         return ""
-    views = [place.metrics["methods"][name].get("views", {}) for name in (floor, ceiling)]
-    pairs = [[view[kind][number] for view in (views[0][name], views[1][name])] for name in views[0] if name in views[1]]
-    gains = [one - other for other, one in pairs if one is not None and other is not None]
-    error = 2 * float(np.std(gains, ddof=1)) / np.sqrt(len(gains)) if len(gains) > 1 else 0.0
-    if high - low > max(error, NO_GAIN):
-        return ""
-    gained = signed(high - low) + (f" ± {error:.2f}" if error else "")
+    error = "" if span.error is None else f" ± {span.error:.2f}"
     return (
-        f" The fit limits here, not the noise: {ceiling}, which sees no noise, is {gained} dB from {floor}, so that no "
-        "method can show its gain. Take cameras that are right, more views, points or iterations, or less light."
+        f" The fit limits here, not the noise: {ceiling}, which sees no noise, is {signed(span.value)}{error} dB from "
+        f"{floor} ({span.where}), so that no method can show its gain. Take cameras that are right, more views, points "
+        "or iterations, or less light."
     )
 
 
@@ -142,17 +165,17 @@ def _dissent(place: Place, kind: str, main_score: str, best: str) -> str:
 
     Scores in which the best run takes no place say nothing of it.
     """
-    first: dict[tuple[str, str], list[str]] = {}
+    leads: dict[tuple[str, str], list[str]] = {}
     for against in sorted(AGAINST, key=lambda other: other != kind):
         where, rows = "" if against == kind else f" against {AGAINST[against]}", table_of(place, against)
         for key, heading, *_ in columns(against):
             ranks = {row["method"]: cell["rank"] for row in rows for cell in row["cells"] if cell["key"] == key}
             marked = [name for name, rank in ranks.items() if rank == 1]
             if (where, key) != ("", main_score) and ranks.get(best) is not None and best not in marked:
-                first.setdefault((where, marked[0]), []).append(heading)
-    if not first:
+                leads.setdefault((where, marked[0]), []).append(heading)
+    if not leads:
         return ""
-    said = (f"by {join(scores)}{where}: {name} comes first" for (where, name), scores in first.items())
+    said = (f"by {join(scores)}{where}: {name} comes first" for (where, name), scores in leads.items())
     return f" Not so {'; '.join(said)}."
 
 
@@ -160,15 +183,16 @@ def cards(place: Place, seconds: float) -> list[dict[str, str]]:
     """The verdict in numbers: value, unit, label; and the seconds that all of it took."""
     value, best = _values(place), leader(place)
     floor, ceiling = place.bound("floor"), place.bound("ceiling")
-    reached, lowest, highest = (None if name is None else value[name] for name in (best, floor, ceiling))
+    reached, highest = (None if name is None else value[name] for name in (best, ceiling))
     found = []
     if reached is not None:
         found.append({"value": f"{reached:.2f}", "unit": "dB", "label": f"{best}, held-out views"})
-    if reached is not None and lowest is not None and best != floor:
-        found.append({"value": signed(reached - lowest), "unit": "dB", "label": f"over {floor}"})
+    if floor is not None and best != floor and (gain := _above(place, best, floor)) is not None:
+        error = "" if gain.error is None else f" ± {gain.error:.2f}"
+        found.append({"value": signed(gain.value) + error, "unit": "dB", "label": f"over {floor}, {gain.where}"})
     if (fraction := _recovered(place).get(best)) is not None:
-        share = f"{100 * fraction:.0f}".replace("-", "−")
-        found.append({"value": share, "unit": "%", "label": "of the loss to noise recovered"})
+        part = share(fraction.value, fraction.error).removesuffix(" %")
+        found.append({"value": part, "unit": "%", "label": "of the loss to noise recovered"})
     if highest is not None:
         found.append({"value": f"{highest:.2f}", "unit": "dB", "label": f"{ceiling}, the ceiling"})
     found.append({"value": duration(seconds), "unit": "", "label": "in all"})

@@ -27,9 +27,9 @@ def signed(value: float) -> str:
     return f"{value:+.2f}".replace("-", "−")
 
 
-def share(value: float) -> str:
-    """A part of a whole in per cent."""
-    return f"{100 * value:.0f} %".replace("-", "−")
+def share(value: float, error: float | None = None) -> str:
+    """A part of a whole in per cent, with its standard error if that is known."""
+    return f"{100 * value:.0f}{'' if error is None else f' ± {100 * error:.0f}'} %".replace("-", "−")
 
 
 def duration(seconds: float) -> str:

@@ -14,7 +14,7 @@ from sensor_model.files.scratch import scratch
 from sensor_model.plan import Plan
 
 # Enough to know the range of brightness and the effects of light; it takes seconds.
-PILOT = RenderConfig(n_views=8, width=48, height=48, spp=32)
+PILOT = RenderConfig(n_views=8, width=48, height=48, spp=32, truth_samples=1)
 
 
 def light_plan(config: RenderConfig, tolerance: float, console: Console) -> Plan | None:

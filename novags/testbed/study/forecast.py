@@ -8,8 +8,10 @@ from novags.testbed.console.memory import available_bytes
 from novags.testbed.ledger.store import KINDS, costs, other_entries
 from novags.testbed.study.conduct import KEPT, there
 from novags.testbed.study.costs import Costs
+from novags.testbed.study.differences import foreseen
 from novags.testbed.study.engines.choice import Engine
 from novags.testbed.study.engines.progress import duration
+from novags.testbed.study.light import METHOD
 from novags.testbed.study.plan import StudyPlan
 from novags.testbed.study.simulate import makespan, said_threads, simulated
 
@@ -58,6 +60,8 @@ def forecast(
         if url is None
         else f"  disk    {size(disk)} at {url}",
     ]
+    if plan.study.ends == "run" and len(plan.study.axes.get(METHOD, ())) > 1:
+        lines.append(f"  sees    {foreseen(plan.study.axes, plan.study.cells)}")
     if url is None and disk > free:
         lines.append("  note: the disk is too small: free some, or choose another --store")
     if stray := other_entries(store, set(plan.tasks)):

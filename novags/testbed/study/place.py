@@ -1,7 +1,7 @@
 """A study of one place: a set, a capture of it, its reconstructions by every method, and scores, in one folder.
 
 set/ (unless one is given)   capture/   a folder for each method or variant
-results.csv   results.json   one row a run, as of every study; failures.json and logs/ where there are any
+results.csv   results.json   differences.csv   as of every study; failures.json and logs/ where there are any
 experiment.json   report.html   the request, once all is done, and the page
 """
 
@@ -23,6 +23,7 @@ from novags.testbed.ledger.stage import refuse_other
 from novags.testbed.study.cells.grid import Cell, Study
 from novags.testbed.study.cells.presets import Preset
 from novags.testbed.study.conduct import FAILURES, conduct
+from novags.testbed.study.differences import DIFFERENCES
 from novags.testbed.study.engines.choice import Engine
 from novags.testbed.study.engines.here import Here
 from novags.testbed.study.entry import Task
@@ -33,7 +34,17 @@ from sensor_model.files.door import resolved
 from sensor_model.files.lock import dry, locked
 
 DESCRIBED = (EXPERIMENT, REPORT, REPORT_FILES)  # files that describe all runs in the folder
-TAKEN = ("set", "capture", *DESCRIBED, CSV, TABLE, FAILURES, "logs", UNFINISHED)  # the folders beside the runs
+TAKEN = (
+    "set",
+    "capture",
+    *DESCRIBED,
+    CSV,
+    DIFFERENCES,
+    TABLE,
+    FAILURES,
+    "logs",
+    UNFINISHED,
+)  # beside the runs
 
 
 def run(
@@ -172,7 +183,7 @@ def said(preset: Preset, out: Path, console: Console, *, overwrite: bool = False
             again, waits = kept == [False], task.place
         made[key] = again
     with dry_run():
-        planned(console, "run", [out / name for name in (EXPERIMENT, CSV, TABLE, REPORT)])
+        planned(console, "run", [out / name for name in (EXPERIMENT, CSV, DIFFERENCES, TABLE, REPORT)])
 
 
 def together(folders: Sequence[Path]) -> dict[Path, list[Run]]:
@@ -204,7 +215,7 @@ def score_all(folder: Path, runs: Sequence[Run], console: Console) -> None:
             with dry_run(dry.get()):  # in a dry run each names its steps
                 stages.score(run.path, console)
         if _is_done(folder):
-            planned(console, "score", [folder / name for name in (CSV, TABLE)])
+            planned(console, "score", [folder / name for name in (CSV, DIFFERENCES, TABLE)])
             rescored(folder)
 
 

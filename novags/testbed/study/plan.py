@@ -245,11 +245,12 @@ class Planner:
             self.contents[scene] = scene_digest(config)
         key = self._key("set", config, {"scene": self.contents[scene]})
         pixels = float(config.n_views * config.width * config.height)
+        samples = config.views_worth * config.width * config.height * (config.spp or 256)
         name = f"{config.source.name.replace(':', '')}-{config.n_views}x{config.width}x{config.height}"
         self.contents[key] = config.n_views
         return self._task(Task(
             kind="set", key=key, name=named(name, key), config=config, group=config.source.name,
-            work=pixels * (config.spp or 256), pixels=pixels,
+            work=samples, pixels=pixels,
         ))  # fmt: skip
 
     def _posed(self, config: PosesConfig) -> str:

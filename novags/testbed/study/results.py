@@ -1,4 +1,4 @@
-"""The tables of a study: one row a run, in results.csv and results.json."""
+"""The tables of a study: one row a run, in results.csv and results.json; and differences.csv."""
 
 import os
 from collections.abc import Mapping
@@ -8,11 +8,12 @@ from typing import Any
 
 from novags.testbed.console.csv_text import as_csv
 from novags.testbed.folders import shapes
-from novags.testbed.folders.run import METRICS, open_run
+from novags.testbed.folders.run import METRICS, RECORD, open_run
 from novags.testbed.folders.runs import ROWS, TABLE
 from novags.testbed.ledger.contents import read_json, write_json
 from novags.testbed.ledger.store import read_seal
-from novags.testbed.stages.scores.scoring import recovered_shares
+from novags.testbed.stages.scores.comparing import enhancement_of, recovered_shares, with_errors
+from novags.testbed.study.differences import Finished, write_differences
 from novags.testbed.study.entry import Task
 from novags.testbed.study.knobs.measurement import read_measured
 from novags.testbed.study.plan import StudyPlan
@@ -49,7 +50,8 @@ class StudyTable:
     store: Path
     url: str | None = None
     kept: Mapping[str, dict[str, Any]] = field(default_factory=dict)
-    _scores: dict[str, dict[str, Any]] = field(default_factory=dict)  # of finished runs, by key: read once
+    _scores: dict[str, dict[str, Any]] = field(default_factory=dict)  # columns of finished runs, by key: made once
+    _runs: dict[str, dict[str, Any]] = field(default_factory=dict)  # and what they are made of
 
     def rows(self, states: Mapping[str, State]) -> list[dict[str, Any]]:
         """One row a run, in the order of the file.
@@ -76,7 +78,22 @@ class StudyTable:
         """Write both tables; returns the rows."""
         rows = self.rows(states)
         _write(self.out, self.plan.study.axes, rows)
+        if self.plan.study.ends == "run":
+            write_differences(self.out, self.plan.study.axes, self._finished(states))
         return rows
+
+    def _finished(self, states: Mapping[str, State]) -> list[Finished]:
+        """The finished runs of which the scores are on this machine."""
+        found = []
+        for cell, key in self.plan.runs:
+            task = self.plan.tasks[key]
+            folder = task.folder(self.store)
+            done = key in self.kept if key not in states else states[key].name == "done"
+            if done and (key in self._runs or (folder / METRICS).is_file()):
+                record = read_json(folder / RECORD) if (folder / RECORD).is_file() else {}
+                method = task.config.variant.method
+                found.append(Finished(cell.values, method, self._whole(key), enhancement_of(record)))
+        return found
 
     def _scores_of(self, key: str) -> dict[str, Any]:
         if key not in self._scores:
@@ -94,22 +111,27 @@ class StudyTable:
         return {**dict(_flat({"seconds": seal.cost["seconds"]}, "")), "peak_bytes": seal.cost["peak_bytes"]}
 
     def _method(self, key: str) -> dict[str, Any]:
-        metrics = read_json(self.plan.tasks[key].folder(self.store) / METRICS, shapes.METRICS)
-        (method,) = metrics["methods"].values()
-        return flat_scores(method)
+        return flat_scores(self._whole(key))
 
-    def _recovered(self, states: Mapping[str, State]) -> dict[str, dict[str, float]]:
+    def _whole(self, key: str) -> dict[str, Any]:
+        """All scores of a finished run, view by view."""
+        if key not in self._runs:
+            metrics = read_json(self.plan.tasks[key].folder(self.store) / METRICS, shapes.METRICS)
+            (self._runs[key],) = metrics["methods"].values()
+        return self._runs[key]
+
+    def _recovered(self, states: Mapping[str, State]) -> dict[str, dict[str, float | None]]:
         """The recovered shares of every run whose floor and ceiling are in the study too, at the same values."""
         groups: dict[tuple[Any, ...], dict[str, str]] = {}
         for cell, key in self.plan.runs:
             if self.plan.study.ends == "run" and states.get(key, State()).name == "done":
                 place = tuple(value for name, value in cell.values.items() if name != "method")
                 groups.setdefault(place, {})[cell.preset.methods[0]] = key
-        found: dict[str, dict[str, float]] = {}
+        found: dict[str, dict[str, float | None]] = {}
         for keys in groups.values():
             if len(keys) > 1:
                 methods = {name: self.plan.tasks[key].config.variant.method for name, key in keys.items()}
-                shares = _shares({name: self._scores_of(key) for name, key in keys.items()}, methods)
+                shares = _shares({name: self._whole(key) for name, key in keys.items()}, methods)
                 found |= {keys[name]: own for name, own in shares.items()}
         return found
 
@@ -121,19 +143,22 @@ def rescored(out: Path) -> None:
         ValueError: If the tables or the scores of a run cannot be read.
     """
     table = read_json(out / TABLE, ROWS)
-    scores, methods = dict[str, dict[str, Any]](), dict[str, str]()
+    scores, methods, finished = dict[str, dict[str, Any]](), dict[str, str](), list[Finished]()
     for row in table["rows"]:
         if row["state"] == "done":
             run = open_run(out / row["folder"])
             methods[row["method"]] = run.method
             if (own := run.scores()) is not None:
-                scores[row["method"]] = flat_scores(own)
-    shares = _shares(scores, methods)
+                scores[row["method"]] = own
+                place = {name: row.get(name) for name in table["axes"]}
+                finished.append(Finished(place, run.method, own, enhancement_of(run.record)))
+    shares, columns = _shares(scores, methods), {name: flat_scores(own) for name, own in scores.items()}
     kept = ("run", *table["axes"], "state", "reason", "stage", "log", "folder")
     _write(out, table["axes"], [
-        {**{name: row.get(name) for name in kept}, **shares.get(row["method"], {}), **scores.get(row["method"], {})}
+        {**{name: row.get(name) for name in kept}, **shares.get(row["method"], {}), **columns.get(row["method"], {})}
         for row in table["rows"]
     ])  # fmt: skip
+    write_differences(out, table["axes"], finished)
 
 
 def _write(out: Path, axes: Mapping[str, Any], rows: list[dict[str, Any]]) -> None:
@@ -143,20 +168,13 @@ def _write(out: Path, axes: Mapping[str, Any], rows: list[dict[str, Any]]) -> No
     write_json(out / TABLE, {"axes": axes, "columns": columns, "rows": rows})
 
 
-def _shares(scores: Mapping[str, Mapping[str, Any]], methods: Mapping[str, str]) -> dict[str, dict[str, float]]:
-    """The recovered shares of runs of one place, by run, from their columns."""
-    means = dict[str, Any]()
-    for run, columns in scores.items():
-        mean = means.setdefault(run, {"mean": {}})["mean"]
-        for name, value in columns.items():
-            kind, dot, number = name.partition(".")
-            if dot:
-                mean.setdefault(kind, {})[number] = value
-    found = dict[str, dict[str, float]]()
-    for column, values in recovered_shares(means, methods)[0].items():
+def _shares(scores: Mapping[str, Mapping[str, Any]], methods: Mapping[str, str]) -> dict[str, dict[str, float | None]]:
+    """The recovered shares of runs of one place with their errors, by run, from their scores."""
+    found = dict[str, dict[str, Any]]()
+    for column, values in recovered_shares(scores, methods)[0].items():
         for run, share in values.items():
             found.setdefault(run, {})[column] = share
-    return found
+    return {run: with_errors(own) for run, own in found.items()}
 
 
 def rows_before(
@@ -190,8 +208,9 @@ def place_of(task: Task, out: Path, store: Path, url: str | None) -> str:
 def flat_scores(method: Mapping[str, Any]) -> dict[str, Any]:
     """The scores and costs of a run as columns: `lit.psnr`, `geometry.abs_rel`, `seconds.render`, ..."""
     cameras = method.get("cameras") or {}
+    geometry = {name: value for name, value in (method.get("geometry") or {}).items() if name != "views"}
     chosen = {
-        **method["mean"], "geometry": method.get("geometry") or {}, "noise": method.get("noise") or {},
+        **method["mean"], "geometry": geometry, "noise": method.get("noise") or {},
         "cameras": {name: cameras.get(name) for name in ("registered_share", "mean_rotation_deg",
                                                          "mean_centre_error") if name in cameras},
         "seconds": method["seconds"],

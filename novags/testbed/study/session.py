@@ -2,6 +2,7 @@
 
 study.json       the file, its combinations and where their runs are in the store
 results.csv      results.json      one row a run
+differences.csv  one row for each pair of methods and score
 failures.json    failed tasks, by key; tried again on request
 logs/            the output of each task
 """

@@ -21,7 +21,7 @@ from novags.testbed.folders.set import open_source
 from novags.testbed.ledger.contents import read_json
 from novags.testbed.report.rows import deviations, rows_of
 from novags.testbed.stages.configs.capturing import CaptureConfig
-from novags.testbed.stages.scores.scoring import recovered_shares
+from novags.testbed.stages.scores.comparing import recovered_shares
 from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
 from simscenes import orbit_rig
 from simscenes.sets.multiview import load_set, write_cameras

@@ -12,7 +12,7 @@ from novags.testbed.metrics.images import aligned_psnr, image_scores, psnr, ssim
 from novags.testbed.metrics.linear import is_black
 from novags.testbed.metrics.tone import CONTRAST, affine_aligned, tone_aligned, with_contrast
 from novags.testbed.report.page import write_report
-from novags.testbed.stages.scores.scoring import recovered_fractions
+from novags.testbed.stages.scores.comparing import recovered_fractions
 from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
 from novags.testbed.study.place import run
 

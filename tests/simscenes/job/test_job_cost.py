@@ -214,7 +214,7 @@ def test_a_view_is_written_with_its_variance_and_without_negative_light(
     monkeypatch.setattr(views, "write_exr", lambda path, channels, header: written.update(path=path, **header))
     kept: dict[int, dict[str, Any]] = {}
     mean, variance = np.arange(72.0).reshape(2, 4, 3, 3).reshape(4, 6, 3) - 10, np.arange(72.0).reshape(4, 6, 3)
-    radiance = SimpleNamespace(mean=mean, variance=variance, spp=16, error=0.5, fireflies=3)
+    radiance = SimpleNamespace(mean=mean, variance=variance, half=mean / 3, spp=16, error=0.5, fireflies=3)
     view = SimpleNamespace(i=2, render=lambda spp, target_error, tick: radiance)
     one = job(lambda *what: None)
     object.__setattr__(one, "store", SimpleNamespace(put=lambda i, channels: kept.update({i: channels})))
@@ -230,5 +230,6 @@ def test_a_view_is_written_with_its_variance_and_without_negative_light(
     for k, c in enumerate("RGB"):
         assert np.array_equal(kept[2][c], np.where(mean[..., k] < 0, 0, mean[..., k]))
         assert np.array_equal(kept[2][f"var.{c}"], variance[..., k])
+        assert np.array_equal(kept[2][f"half.{c}"], mean[..., k] / 3)
     assert (kept[2]["Z"] == 2).all()
     assert set(one.watch.seconds) == {"geometry", "radiance", "write"}

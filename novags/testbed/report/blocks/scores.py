@@ -2,10 +2,13 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from math import inf
 from typing import Any
 
 from markupsafe import Markup
 
+from novags.testbed.metrics.differences import Estimate
+from novags.testbed.metrics.truth import WITHIN
 from novags.testbed.report.grid import SCALES, Line, main_column, shown_columns
 from novags.testbed.report.material import Material
 from novags.testbed.report.parts import Column, Page, Table, TableCell, TableRow, num, text
@@ -13,7 +16,8 @@ from novags.testbed.report.place import MAIN, Place
 from novags.testbed.report.tables import KINDS, columns, digits, per_view
 from novags.testbed.report.verdict import table_of
 from novags.testbed.report.words import named, number, share, signed
-from novags.testbed.stages.scores.scoring import bounds_of
+from novags.testbed.stages.scores.comparing import bounds_of
+from novags.testbed.study.differences import DIFFERENCES
 from novags.testbed.study.light import METHOD
 from novags.testbed.study.results import CSV
 from sensor_model.files.door import resolved
@@ -26,7 +30,7 @@ PLUS_MINUS = Markup("{} <small>± {}</small>")
 SPREAD = {"mean": "Mean", "sd": "Standard deviation", "worst": "Worst view", "best": "Best view"}
 THERE = "Place among the methods that are compared with each other, by the column that the table is sorted by"
 RANK = Column("#", kind="rank", attributes={"title": THERE})
-More = tuple[Column, Mapping[str, float], Callable[[float], str]]  # values by run, and how they are shown
+More = tuple[Column, Mapping[str, Estimate], Callable[[float], str]]  # values by run, and how they are shown
 Grid = Sequence[tuple[str, str, str, bool, int]]  # as `columns` of `grid`
 
 
@@ -69,13 +73,25 @@ def ranked_table(
         shown.append(Column(heading, unit, "num", better, first))
     for row in table_of(place, kind):
         name, rank = row["method"], row["cells"][0]["rank"] or ("" if row["competes"] else "†")
-        cells = [num(c["value"], digits(c["key"]), rank=c["rank"], best=c["best"]) for c in row["cells"]]
-        cells += [num(values.get(name), said(values[name]) if name in values else "") for _, values, said in more]
+        cells = [num(c["value"], _score(c), rank=c["rank"], best=c["best"]) for c in row["cells"]]
+        cells += [_estimated(values.get(name), said) for _, values, said in more]
         cells = [text(rank, "rank"), TableCell(named(place.rows[name])), *cells]
         rows.append(TableRow(cells, {"data-command": commands.get(name)}))
     name, against = LABELS.get(kind, (f"scores-{kind}", kind))
     shown += [column for column, *_ in more]
     return Table(name, f"Scores against {against}", shown, rows, "scores") if rows else None
+
+
+def _score(cell: Mapping[str, Any]) -> str | int:
+    """A score as it is printed; where the noise of the truth leaves nothing of it, that."""
+    return WITHIN if cell["value"] is None and cell["error"] == inf else digits(cell["key"])
+
+
+def _estimated(found: Estimate | None, said: Callable[[float], str]) -> TableCell:
+    if found is None:
+        return num(None, "")
+    error = "" if found.error is None else said(found.error).lstrip("+")
+    return num(found.value, PLUS_MINUS.format(said(found.value), error) if error else said(found.value))
 
 
 def _views(kind: str, found: Mapping[str, Any], place: Place) -> Table:
@@ -109,7 +125,12 @@ def _of_many(material: Material, page: Page) -> dict[str, Any]:
         "alike": all(line.alike for line in lines), "no_lpips": not any(LPIPS in line.spread for line in lines),
         "pictures": bool(page.views), "floors": not material.study, "seeds": any(len(line.runs) > 1 for line in lines),
         "csv": CSV if material.study and resolved(material.path.parent) == resolved(material.study[0]) else None,
+        "differences": _differences(material),
     }  # fmt: skip
+
+
+def _differences(material: Material) -> str | None:
+    return DIFFERENCES if material.study and (material.study[0] / DIFFERENCES).is_file() else None
 
 
 def _methods(material: Material) -> list[tuple[Any, str]]:

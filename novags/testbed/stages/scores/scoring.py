@@ -1,12 +1,12 @@
 """Scores of one run against the truth: held-out views in 3D, training pictures in 2D, depth, cameras, consistency."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
+from math import inf
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from novags.methods import METHODS
 from novags.methods.enhancers import ENHANCERS
 from novags.methods.problem import encode
 from novags.testbed.console.terminal import Console, Update
@@ -15,14 +15,16 @@ from novags.testbed.folders.exposures import Exposures, as_compared, exposures_o
 from novags.testbed.folders.references import LINEAR, missing_references, references, true_depth
 from novags.testbed.folders.run import METRICS, Run, open_run
 from novags.testbed.folders.set import Source
+from novags.testbed.folders.truth_noise import reference_halves
 from novags.testbed.ledger.code import Code, code_of
 from novags.testbed.ledger.stage import run_stage
 from novags.testbed.metrics import missing, modules, networks
 from novags.testbed.metrics.consistency import ConsistencyScores, consistency_scores
-from novags.testbed.metrics.geometry import geometry_scores
+from novags.testbed.metrics.geometry import GeometryScores, geometry_scores
 from novags.testbed.metrics.images import aligned_psnr, gaussian_blur, image_scores, mean_scores, psnr
-from novags.testbed.metrics.linear import is_black, linear_psnr
+from novags.testbed.metrics.linear import linear_scores
 from novags.testbed.metrics.picture import Image
+from novags.testbed.metrics.truth import ERROR, WITHIN
 from novags.testbed.stages.scores.noise import noise_scores
 from sensor_model.files.lock import locked
 from simscenes.sets.geometry.correspondence import flow
@@ -101,24 +103,23 @@ def score_test_views(
         scores of depth (None if unknown), with the view consistency.
     """
     views: dict[str, Any] = {}
-    depths = []
+    depths = dict[str, GeometryScores]()
     indices = capture.cameras.test_indices
     exposures = exposures_of(run, capture, lit) if run.space == "linear" else None
     gain = None if exposures is None else exposures.dark
     for done, i in enumerate(indices):
         name = capture.names[i]
         rendered = run.rendering(name)
+        halves = reference_halves(run, capture, lit, i)
         views[name] = {
-            kind: {
-                "linear_psnr": None if is_black(reference) or gain is None else linear_psnr(rendered, reference, gain)
-            }
+            kind: linear_scores(rendered, reference, gain, halves.get(kind))
             if kind in LINEAR
-            else image_scores(as_compared(rendered, run, capture, kind, exposures), reference, asked)
+            else image_scores(as_compared(rendered, run, capture, kind, exposures), reference, asked, halves.get(kind))
             for kind, reference in references(run, capture, lit, i).items()
         }
         if run.has_depth and (truth := true_depth(lit, i)) is not None:
             depth, alpha = run.depth(name)
-            depths.append(geometry_scores(depth * run.depth_scale, alpha, truth))
+            depths[name] = geometry_scores(depth * run.depth_scale, alpha, truth)
         progress(done + 1, len(indices), f"view {name}")
     missing: dict[str, Any] = dict.fromkeys(missing_references(run, capture, lit))
     kinds = next(iter(views.values())).keys()
@@ -126,7 +127,9 @@ def score_test_views(
     return {
         "mean": missing | {kind: mean_scores([scores[kind] for scores in views.values()]) for kind in kinds},
         "views": views,
-        "geometry": {**mean_scores(depths), "consistency": consistency} if depths else None,
+        "geometry": {**mean_scores([*depths.values()]), "consistency": consistency, "views": depths}
+        if depths
+        else None,
     }
 
 
@@ -135,7 +138,13 @@ def shows_nothing(views: dict[str, Any]) -> dict[str, str]:
     found = {}
     for kind in next(iter(views.values())):
         number = "linear_psnr" if kind in LINEAR else "aligned_psnr"
-        blank = [name for name, scores in views.items() if scores[kind][number] is None]
+        within = [name for name, scores in views.items() if scores[kind].get(number + ERROR) == inf]
+        if within:
+            found[f"{number} against {kind}"] = (
+                f"{WITHIN} in {len(within)} of {len(views)} views ({within[0]}{', ...' if len(within) > 1 else ''}), "
+                "which the mean leaves out: render the held-out views with more samples (--truth-samples)"
+            )
+        blank = [name for name, scores in views.items() if scores[kind][number] is None and name not in within]
         if blank:
             lost = "linear_psnr" if kind in LINEAR else "aligned scores"
             what = lost if kind == "linear" else f"{lost} against {kind}"
@@ -223,100 +232,3 @@ def stage_seconds(run: Run, captured: Capture, lit: Source) -> dict[str, float]:
     seconds["import" if captured.imported else "capture"] = float(captured.record.stage["seconds"])
     seconds["reconstruct"] = float(run.record["stage"]["seconds"])
     return {**seconds, **{f"reconstruct/{part}": float(s) for part, s in run.record["seconds"].items()}}
-
-
-def recovered_shares(
-    scores: Mapping[str, Any], methods: Mapping[str, str]
-) -> tuple[dict[str, dict[str, float]], dict[str, str]]:
-    """The share of the cost of noise that each run wins back: `recovered` and `recovered_lit`, by run; and why one is
-    not known.
-
-    `recovered` = (method - floor) / (ceiling - floor) in aligned PSNR against `enhanced`, `recovered_lit` the same in
-    tone-aligned PSNR against `lit`, for every run but the bounds.
-
-    Args:
-        scores: The scores of each run, by its name.
-        methods: The method of each run, by its name.
-    """
-    shares, unavailable = dict[str, dict[str, float]](), dict[str, str]()
-    for column, kind, number in (
-        ("recovered", "enhanced", "aligned_psnr"),
-        ("recovered_lit", "lit", "tone_aligned_psnr"),
-    ):
-        shares[column], why = recovered_fractions(scores, methods, kind, number)
-        if why is not None:
-            unavailable[column] = why
-    return shares, unavailable
-
-
-def recovered_fractions(
-    scores: Mapping[str, Any], methods: Mapping[str, str], kind: str = "enhanced", number: str = "aligned_psnr"
-) -> tuple[dict[str, float], str | None]:
-    """The share of the cost of noise that each run wins back, and the reason where it is unknown.
-
-    Args:
-        scores: The scores of each run, by its name, which may follow a folder and a slash.
-        methods: The method of each run, by its name.
-        kind: The reference.
-        number: The score.
-    """
-    for needed, what in ((kind, f"the reference {kind}"), ("enhanced", "the noise-free exposure, the ceiling's,")):
-        if all(method["mean"].get(needed, {}) is None for method in scores.values()):
-            return {}, f"{what} is not known for these photographs, so the recovered share cannot be measured"
-    ends = bounds_of(methods)
-    if len(ends) < 2:
-        wanted = [name for name, method in METHODS.items() if method.bound and method.bound not in ends]
-        listed = " and ".join(wanted)
-        return {}, f"the recovered fraction needs the method(s) {listed}: reconstruct and score them too"
-    value = {
-        name: method["mean"][kind][number]
-        for name, method in scores.items()
-        if (method["mean"].get(kind) or {}).get(number) is not None
-    }
-    if missing := [name for names in ends.values() for name in names if name not in value]:
-        if all(number in (scores[name]["mean"].get(kind) or {}) for name in missing):
-            return {}, f"{' and '.join(missing)} have no {number} against {kind}: nothing to measure recovery by"
-        return {}, f"{' and '.join(missing)} were scored by an earlier version: score them again"
-    floor, ceiling = (float(np.mean([value[name] for name in ends[end]])) for end in ("floor", "ceiling"))
-    span = ceiling - floor
-    if span < 0.1:  # dB; a ratio of such small differences would be mostly scatter
-        return {}, (
-            f"{ends['ceiling'][0]} is only {span:+.2f} dB from {ends['floor'][0]}: noise costs too little here to "
-            "speak of a fraction"
-        )
-    bounds = {name for names in ends.values() for name in names}
-    return {name: (value[name] - floor) / span for name in value if name not in bounds}, None
-
-
-def bounds_of(methods: Mapping[str, str]) -> dict[str, list[str]]:
-    """The runs at each end of the scale, "floor" and "ceiling": methods themselves, not variants of them.
-
-    Args:
-        methods: The method of each run, by its name, which may follow a folder and a slash.
-    """
-    found: dict[str, list[str]] = {}
-    for name, method in methods.items():
-        row = METHODS.get(method)
-        if row is not None and row.bound is not None and name.rpartition("/")[2] == method:
-            found.setdefault(row.bound, []).append(name)
-    return found
-
-
-def deltas(scores: dict[str, Any], methods: dict[str, str], kind: str, number: str) -> tuple[dict[str, float], str]:
-    """How far each run is above the floor (without one: above the first run), and the name of that baseline.
-
-    Args:
-        scores: The scores of each run, by its name.
-        methods: The method of each run, by its name.
-        kind: The reference.
-        number: The score.
-    """
-    value = {
-        name: found for name, m in scores.items() if (found := (m["mean"].get(kind) or {}).get(number)) is not None
-    }
-    base = [name for name in bounds_of(methods).get("floor", []) if name in value] or list(value)[:1]
-    if not base:
-        return {}, ""
-    level = float(np.mean([value[name] for name in base]))
-    what = base[0] if len(base) == 1 else f"the mean of {len(base)} runs of {methods[base[0]]}"
-    return {name: found - level for name, found in value.items() if [name] != base}, what

@@ -129,8 +129,9 @@ def expected(preset: Preset, tables: Sequence[Mapping[str, Any]]) -> dict[str, P
                 growth = (pixels + config.points) / (width * height + work["points"])
                 paces |= {part: growth * s / work[part] for part, s in point["parts"].items() if part in work}
                 if "render" in point["parts"] and preset.folder is None:
-                    light = (preset.render.spp or 1) * preset.render.n_views * pixels
-                    per = point["parts"]["render"] / (work["samples per pixel"] * work["views"] * width * height)
+                    rendered = work.get("rendered views", work["views"])  # held-out ones count for their samples
+                    light = (preset.render.spp or 1) * preset.render.views_worth * pixels
+                    per = point["parts"]["render"] / (work["samples per pixel"] * rendered * width * height)
                     found["render"] = {"render": per * light}
             except (KeyError, TypeError, ValueError, ZeroDivisionError):
                 continue  # the workload of somebody else's curves
@@ -223,7 +224,8 @@ def _pictures(preset: Preset, small: Preset, folder: Path, ratio: float) -> tupl
     before, took = {"fixed": 0.0}, 0.0
     if preset.folder is None:
         seconds = read_json(folder / "set" / "set.json")["seconds"]
-        samples = ratio * (preset.render.spp or 1) / (small.render.spp or 1)
+        samples = preset.render.views_worth / small.render.views_worth
+        samples *= (preset.render.spp or 1) / (small.render.spp or 1)
         before["render"] = seconds.get("radiance", 0.0) * samples
         per_view = seconds.get("geometry", 0.0) + seconds.get("write", 0.0)
         before["fixed"] += sum(seconds.values()) - seconds.get("radiance", 0.0) + (ratio - 1) * per_view

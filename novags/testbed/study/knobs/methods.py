@@ -25,6 +25,7 @@ def reconstruction(method: str, sizes: Mapping[str, int]) -> Subject:
     parts = METHODS[method].parts
     workload = {
         "method": config.variant.name, "scene": f"{SCENE}:SEED", "views": render.n_views,
+        "rendered views": render.views_worth,
         "size": f"{render.width} x {render.height}", "samples per pixel": render.spp,
         "sensor": base.capture.sensor_name, "electrons": base.capture.electrons, "points": base.points,
         **({} if parts is None else parts(config.config)),

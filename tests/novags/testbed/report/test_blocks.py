@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 
 from novags.testbed.console.terminal import Console
+from novags.testbed.metrics.differences import Estimate
 from novags.testbed.report import material as module
 from novags.testbed.report import page
 from novags.testbed.report.blocks.cost import costs
@@ -200,11 +201,12 @@ def test_every_run_of_every_place_is_a_row_with_all_its_columns(
     def place(title: str, *names: str) -> Any:
         values = {name: float(k) for k, name in enumerate(names, 1)}
         methods = {name: {"mean": {"lit": {"psnr": 10 * value}}} for name, value in values.items()}
-        metrics = {"methods": methods, "recovered": values, "recovered_lit": {}, "unavailable": {f"x-{title}": "why"}}
+        known = {name: Estimate(value, 0.5, 2.0, "views", 1, 1, 3) for name, value in values.items()}
+        metrics = {"methods": methods, "recovered": known, "recovered_lit": {}, "unavailable": {f"x-{title}": "why"}}
         lit = SimpleNamespace(views=SimpleNamespace(unregistered=[f"{title}.png"]))
         runs = {name: SimpleNamespace(name=name) for name in names}
         record = SimpleNamespace(views=10 + len(names))
-        return SimpleNamespace(title=title, runs=runs, metrics=metrics, deltas=lambda kind: (values, "base"), lit=lit,
+        return SimpleNamespace(title=title, runs=runs, metrics=metrics, deltas=lambda kind: (known, "base"), lit=lit,
                                capture=SimpleNamespace(path=tmp_path / title, record=record))  # fmt: skip
 
     monkeypatch.setattr(module, "flat_scores", lambda scores: {"lit.psnr": scores["mean"]["lit"]["psnr"]})
@@ -216,6 +218,7 @@ def test_every_run_of_every_place_is_a_row_with_all_its_columns(
     ]  # fmt: skip
     assert [row["lit.psnr"] for row in found.rows] == [10.0, 20.0, 10.0, 20.0, 30.0]
     assert [row["recovered"] for row in found.rows] == [row["over.lit"] for row in found.rows] == [1, 2, 1, 2, 3]
+    assert {row["recovered_error"] for row in found.rows} == {row["over.lit_error"] for row in found.rows} == {0.5}
     assert found.made == dict(enumerate("abcde", 1))
     assert list(found.places) == ["s", "t"]
     assert found.unavailable == {"s: x-s": "why", "t: x-t": "why"}

@@ -21,20 +21,13 @@ from novags.testbed.console.terminal import Console  # noqa: E402
 from novags.testbed.folders.capture import Capture, open_capture  # noqa: E402
 from novags.testbed.folders.exposures import exposures_of  # noqa: E402
 from novags.testbed.report.page import write_report  # noqa: E402
-from novags.testbed.report.tables import columns, per_view, ranked, ranks, scores_of  # noqa: E402
+from novags.testbed.report.tables import columns, per_view, ranked, scores_of  # noqa: E402
 from novags.testbed.report.verdict import table_of  # noqa: E402
 from novags.testbed.report.words import duration, join, number, signed, size  # noqa: E402
 from sensor_model import srgb_to_linear  # noqa: E402
 from simscenes.sets.pictures.exr import read_exr  # noqa: E402
 
 QUIET = Console(quiet=True)
-
-
-def test_equal_scores_share_a_place_and_the_next_one_is_left_out() -> None:
-    values = {"a": 3.0, "b": 5.0, "c": 5.0, "d": 1.0}
-    assert ranks(values, True) == {"b": 1, "c": 1, "a": 3, "d": 4}
-    assert ranks(values, False) == {"d": 1, "a": 2, "b": 3, "c": 3}
-    assert ranks({}, True) == {}
 
 
 def metrics(**means: Any) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 import json
 import re
 import sys
+from copy import deepcopy
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ sys.path.insert(0, str(ROOT))  # where pytest is started by itself and not as a 
 from novags.testbed import stages  # noqa: E402
 from novags.testbed.console.terminal import Console  # noqa: E402
 from novags.testbed.folders.runs import runs_in  # noqa: E402
+from novags.testbed.metrics.differences import Estimate  # noqa: E402
 from novags.testbed.report.page import write_reports  # noqa: E402
 from novags.testbed.report.place import places_in  # noqa: E402
 from novags.testbed.stages.configs.capturing import CaptureConfig  # noqa: E402
@@ -39,7 +41,9 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
         record = folder / experiment / method / "metrics.json"
         found = json.loads(record.read_text())
         mean = found["methods"][method]["mean"]
-        mean["enhanced"]["aligned_psnr"], mean["lit"]["tone_aligned_psnr"] = value, value / 2
+        found["methods"][method]["views"]["0001"] = deepcopy(found["methods"][method]["views"]["0000"])
+        for own in (mean, *found["methods"][method]["views"].values()):
+            own["enhanced"]["aligned_psnr"], own["lit"]["tone_aligned_psnr"] = value, value / 2
         record.write_text(json.dumps(found))
         if experiment == "dim":
             run = json.loads((folder / experiment / method / "run.json").read_text())
@@ -56,6 +60,10 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+def values(found: dict[str, Estimate]) -> dict[str, float]:
+    return {name: estimate.value for name, estimate in found.items()}
+
+
 def test_runs_of_a_folder_of_experiments_have_names_that_differ(runs: Path) -> None:
     assert list(runs_in([runs])) == ["dim/naive", "dim/oracle", "naive-l1", "one/oracle", "two/naive", "two/oracle"]
     assert list(runs_in([runs / "two", runs / "two" / "naive"])) == ["naive", "oracle"]
@@ -66,19 +74,21 @@ def test_runs_of_a_folder_of_experiments_have_names_that_differ(runs: Path) -> N
 def test_only_runs_of_one_capture_are_compared_and_bounds_are_found_among_them(runs: Path) -> None:
     dim, bright = places_in([runs], QUIET)
     assert list(dim.runs) == ["dim/naive", "dim/oracle"]
-    assert dim.deltas("enhanced") == ({"dim/oracle": 2.0}, "dim/naive")
+    over, base = dim.deltas("enhanced")
+    assert (values(over), base) == ({"dim/oracle": 2.0}, "dim/naive")
     # Floor 22, ceiling (30 + 32) / 2.
-    assert bright.metrics["recovered"] == {"naive-l1": pytest.approx((24.5 - 22) / 9)}
+    assert values(bright.metrics["recovered"]) == {"naive-l1": pytest.approx((24.5 - 22) / 9)}
     over, base = bright.deltas("enhanced")
     assert base == "two/naive"
-    assert over == {"naive-l1": 2.5, "one/oracle": 8.0, "two/oracle": 10.0}
+    assert values(over) == {"naive-l1": 2.5, "one/oracle": 8.0, "two/oracle": 10.0}
     lit, _ = bright.deltas("lit")
-    assert lit["two/oracle"] == pytest.approx(5.0)
+    assert lit["two/oracle"].value == pytest.approx(5.0)
 
 
 def test_without_a_floor_differences_are_to_the_first_run_and_nothing_is_recovered(runs: Path) -> None:
     (group,) = places_in([runs / "one"], QUIET)
-    assert group.deltas("enhanced") == ({"oracle": 5.5}, "naive-l1")
+    over, base = group.deltas("enhanced")
+    assert (values(over), base) == ({"oracle": 5.5}, "naive-l1")
     assert group.metrics["recovered"] == {}
     assert "needs the method(s) naive:" in group.metrics["unavailable"]["recovered"]
 

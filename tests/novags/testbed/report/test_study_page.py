@@ -26,7 +26,7 @@ from novags.testbed.study.results import flat_scores
 from simscenes.sets.pictures.exr import read_exr
 
 COMPETES = {"naive": True, "better": True, "oracle": False}
-SCORES = {("naive", 5): (20.0, 22.0), ("naive", 50): (26.0, 26.5), ("better", 5): (23.0, 23.5),
+SCORES = {("naive", 5): (20.0, 22.0), ("naive", 50): (26.0, 26.5), ("better", 5): (23.0, 24.9),
           ("better", 50): (25.0, 25.5), ("oracle", 5): (29.0, 29.5), ("oracle", 50): (30.0, 30.5)}  # fmt: skip
 
 
@@ -61,8 +61,8 @@ def test_lines_are_means_over_seeds_with_places_at_each_combination() -> None:
 
 
 def test_the_headline_counts_who_comes_first_and_says_where_another_does() -> None:
-    made = [row | {"enhanced.aligned_psnr": 27.0} if (row["method"], row["electrons"]) == ("better", 50) else row
-            for row in rows()]  # fmt: skip
+    made = [row | ({"enhanced.aligned_psnr": 27.0 + 0.5 * row["seed"]} if row["electrons"] == 50 and
+                   row["method"] == "better" else {}) for row in rows()]  # fmt: skip
     lines = lines_of(made, AXES, COMPETES)
     assert first_places(lines, "enhanced.aligned_psnr") == {"better": 2}
     assert verdict(lines, COMPETES) == (
@@ -222,7 +222,7 @@ def test_a_study_is_narrowed_sorted_compared_and_downloaded(visit: Callable[...,
         tab.get_by_label("Download “Scores of every combination” as CSV").click()
     lines = list(csv.DictReader(Path(loading.value.path()).read_text(encoding="utf-8").splitlines()))
     assert [(line["Method"], line["electrons"], float(line["PSNR aligned, noise-free dB"])) for line in lines] == [
-        ("naive", "5", 21.0), ("better", "5", 23.25), ("oracle", "5", 29.25)
+        ("naive", "5", 21.0), ("better", "5", 23.95), ("oracle", "5", 29.25)
     ]  # fmt: skip
     assert float(lines[0]["PSNR aligned, noise-free dB, standard deviation"]) == pytest.approx(2**0.5)
     tab.locator("#runs summary").click()

@@ -225,7 +225,10 @@ def test_an_exposure_of_the_set_that_would_make_pictures_black_or_nan_is_refused
     exposure: float, tmp_path: Path
 ) -> None:
     size = SimpleNamespace(width=4, height=4), SimpleNamespace(width=2, height=2)
-    views = SimpleNamespace(meta={"exposure_scale": exposure}, path=tmp_path, rig=size[0])
+    views = SimpleNamespace(
+        meta={"exposure_scale": exposure}, path=tmp_path, rig=size[0], kind="rendered", is_deep=lambda i: False,
+        files=[tmp_path / "0.png"], radiance=lambda i: np.ones((4, 4, 3), np.float32),
+    )  # fmt: skip
     with pytest.raises(ValueError, match=r"exposure_scale of .* must be > 0 and at most 1e\+30, got"):
         Source(views, size[1], QUIET).lit(0)
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from novags.testbed.metrics.differences import Estimate
 from novags.testbed.report.blocks import scores
 from novags.testbed.report.grid import Line
 from novags.testbed.report.rows import Row
@@ -98,19 +99,23 @@ def test_every_held_out_view_has_a_row_with_the_scores_of_every_run() -> None:
 
 
 def test_every_run_that_is_scored_is_ranked(monkeypatch: pytest.MonkeyPatch) -> None:
-    cell = {"key": "aligned_psnr", "value": 20.0, "rank": 1, "best": True}
+    cell = {"key": "aligned_psnr", "value": 20.0, "rank": 1, "best": True, "error": None}
     rows = [{"method": name, "competes": name != "c", "cells": [cell | {"rank": rank}]}
             for name, rank in (("a", 1), ("b", 2), ("c", None))]  # fmt: skip
     monkeypatch.setattr(scores, "table_of", lambda place, kind: rows)
     place: Any = SimpleNamespace(rows={name: SimpleNamespace(name=name) for name in "abc"})
     more = [
-        (scores.Column("Over a"), {"b": 1.5}, scores.signed),
-        (scores.Column("Recovered"), {"c": 0.5}, scores.share),
+        (scores.Column("Over a"), {"b": Estimate(1.5, 0.25, 2.0, "views", 1, 1, 3)}, scores.signed),
+        (scores.Column("Recovered"), {"c": Estimate(0.5, None, 0.0, "", 1, 1, 1)}, scores.share),
     ]
     table = scores.ranked_table("lit", place, {"b": "novags b"}, more)
     assert table is not None
     found = list(table.rows)
     assert [(row.cells[0].text, row.cells[1].text) for row in found] == [(1, "a"), (2, "b"), ("\u2020", "c")]
-    assert [[each.text for each in row.cells[-2:]] for row in found] == [["", ""], ["+1.50", ""], ["", "50 %"]]
+    assert [[each.text for each in row.cells[-2:]] for row in found] == [
+        ["", ""],
+        ["+1.50 <small>± 0.25</small>", ""],
+        ["", "50 %"],
+    ]
     assert [row.attributes["data-command"] for row in found] == [None, "novags b", None]
     assert [column.heading for column in table.columns][-2:] == ["Over a", "Recovered"]

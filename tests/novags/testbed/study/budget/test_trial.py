@@ -68,7 +68,7 @@ def test_a_forecast_scales_views_samples_and_steps_and_nothing_else(tmp_path: Pa
     }
     tables = expected(large, read_curves(SHIPPED))
     found = scaled(large, small, tmp_path, stamps, 25.0, tables)
-    assert found.before["render"] == pytest.approx(1.5 * 5 * 16)
+    assert found.before["render"] == pytest.approx(1.5 * 16 * (17 + 3 * 8) / (3 + 8))
     assert found.before["fixed"] == pytest.approx(2 + 3 + 0.2 * 5 + 0.3 * 5 + 0.4 * 5)
     assert found.after["denoiser"] == pytest.approx(0.2 * 128)
     assert found.after["fit"] == pytest.approx((0.05 + 0.03) * 2400)
@@ -107,7 +107,7 @@ def test_tables_foretell_methods_by_steps_pixels_and_gaussians() -> None:
     first, second = METHODS
     assert found[first] == pytest.approx({"fit": 2 * 8.0 / 800 * 400, "denoiser": 2 * 10.0 / 100 * 128})
     assert found[second] == pytest.approx({"fit": 2 * 8.0 / 800 * 400})
-    assert found["render"] == pytest.approx({"render": 4.0 * 2 * 20 / 16})
+    assert found["render"] == pytest.approx({"render": 4.0 * 2 * (17 + 3 * 8) / 16})
     assert expected(own, []) == {"render": {}, first: {}, second: {}}
     assert together(found)["fit"] == pytest.approx(2 * found[second]["fit"])
 

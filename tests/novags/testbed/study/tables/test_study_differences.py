@@ -1,0 +1,91 @@
+"""The table of differences: which runs are paired, what they are said to be apart, and what a study can see."""
+
+import csv
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from novags.testbed.metrics.differences import Scatter
+from novags.testbed.study.differences import ALL, DIFFERENCES, Finished, foreseen, rows_of, write_differences
+
+AXES: dict[str, Any] = {"scene": ("s", "t"), "electrons": (5,), "method": ("naive", "mine", "oracle"), "seed": (0, 1)}
+LEVEL = {"naive": 20.0, "mine": 22.0, "oracle": 30.0}
+
+
+def finished(scene: str, seed: int, method: str, tone: str = "x") -> Finished:
+    """Views are dB apart, and alike for all methods; of scene t `mine` is 1 dB better."""
+    score = LEVEL[method] + 3 * seed + (scene == "t") * (method == "mine")
+    views = {f"{k:04d}": {"enhanced": {"aligned_psnr": score + k}, "lit": {"tone_aligned_psnr": score / 2 + k}}
+             for k in (-2, 0, 2)}  # fmt: skip
+    place = {"scene": scene, "electrons": 5, "method": method, "seed": seed}
+    return Finished(place, method, {"mean": views["0000"], "views": views}, tone)
+
+
+def runs() -> list[Finished]:
+    return [finished(scene, seed, method) for scene in "st" for seed in (0, 1) for method in LEVEL]
+
+
+def row(rows: list[dict[str, Any]], scene: str, method: str, than: str, score: str) -> dict[str, Any]:
+    (found,) = (each for each in rows if (each["scene"], each["method"], each["than"], each["score"]) ==
+                (scene, method, than, score))  # fmt: skip
+    return found
+
+
+def test_every_pair_of_methods_has_a_row_in_each_scene_and_over_all_of_them() -> None:
+    rows = rows_of(AXES, runs())
+    assert len(rows) == 3 * 3 * 2  # pairs, scenes and all, scores
+    alone = row(rows, "s", "mine", "naive", "enhanced.aligned_psnr")
+    assert (alone["difference"], alone["seen"], alone["electrons"]) == (pytest.approx(2.0), True, 5)
+    assert (alone["over"], alone["scenes"], alone["seeds"], alone["views"]) == ("views and seeds", 1, 2, 3)
+    over = row(rows, ALL, "mine", "naive", "enhanced.aligned_psnr")
+    assert (over["difference"], over["error"], over["freedom"]) == (pytest.approx(2.5), pytest.approx(0.5), 1)
+    assert over["over"] == "scenes"
+    assert over["seen"] is False  # of two scenes 12.7 errors are asked for
+    assert over["low"] == pytest.approx(2.5 - 12.706 * 0.5, abs=1e-3)
+
+
+def test_the_share_that_a_method_recovers_stands_beside_its_gain_over_the_floor_alone() -> None:
+    rows = rows_of(AXES, runs())
+    shares = {(each["method"], each["than"]): each["recovered"] for each in rows if each["scene"] == "t"
+              and each["score"] == "enhanced.aligned_psnr"}  # fmt: skip
+    assert shares == {("mine", "naive"): pytest.approx(0.3), ("oracle", "naive"): None, ("oracle", "mine"): None}
+
+
+def test_noise_free_references_of_two_enhancements_are_not_compared() -> None:
+    mixed = [finished("s", 0, "naive"), finished("s", 0, "mine", tone="y")]
+    assert [each["score"] for each in rows_of(AXES, mixed)] == ["lit.tone_aligned_psnr"]
+
+
+def test_runs_that_lack_an_axis_for_scenes_and_seeds_are_of_this_scene(tmp_path: Path) -> None:
+    """As those of a study of one place."""
+    here = [Finished({"method": name}, name, finished("s", 0, name).scores, "x") for name in ("naive", "mine")]
+    write_differences(tmp_path, {"method": ("naive", "mine")}, here)
+    with (tmp_path / DIFFERENCES).open() as file:
+        found = list(csv.DictReader(file))
+    assert [(each["score"], each["method"], each["than"], each["over"]) for each in found] == [
+        ("enhanced.aligned_psnr", "mine", "naive", "views"), ("lit.tone_aligned_psnr", "mine", "naive", "views")
+    ]  # fmt: skip
+    assert float(found[0]["difference"]) == pytest.approx(2.0)
+
+
+def test_a_study_says_the_smallest_difference_that_it_can_see() -> None:
+    """More scenes see more, and one run of one view nothing."""
+    scatter = Scatter(scenes=0.5, seeds=0.2, views=0.3)
+
+    def said(scenes: int, seeds: int, views: int) -> str:
+        cells: Any = [
+            SimpleNamespace(
+                preset=SimpleNamespace(render=SimpleNamespace(n_views=views), folder=None, photos=None, dark=None)
+            )
+        ]
+        return foreseen({"scene": range(scenes), "seed": range(seeds)}, cells, scatter)
+
+    found = [float(said(scenes, 2, 20).split()[2]) for scenes in (2, 4, 12)]
+    assert found == sorted(found, reverse=True)
+    assert "on scenes like these, four times in five (4 scenes, 2 seeds, 3 held-out views)" in said(4, 2, 20)
+    assert "on this scene" in said(1, 2, 20)
+    assert said(1, 1, 8) == (
+        "no difference between methods, of 1 scene, 1 seed, 1 held-out view: nothing repeats, and so no error is known"
+    )
