@@ -37,6 +37,7 @@ def run(
     points: int | None = None,
     iterations: int | None = None,
     denoiser_steps: int | None = None,
+    score_at: tuple[int, ...] = (),
     seed: int | None = None,
     device: Device = "auto",
     engine: Literal["local", "ray"] = "local",
@@ -83,6 +84,8 @@ def run(
         points: Gaussians at the start.
         iterations: Of the fit.
         denoiser_steps: Of the denoiser before the fit starts.
+        score_at: Iterations after which held-out views are shown and scored, along each fit of Gaussians, which stays
+            the same.
         seed: Of noise and training.
         device: Where training runs; auto takes a GPU if there is one that can be used.
         engine: Where the work is done: on this machine, or on a Ray cluster (docs/clusters.md).
@@ -105,7 +108,7 @@ def run(
         EXPERIMENTS[preset], scene=scene, photos=photos, fps=fps, level=level, sensor=sensor, electrons=electrons,
         methods=_compared(methods, variant), n_views=views,
         width=width, height=height, spp=spp, max_size=max_size, points=points, iterations=iterations,
-        denoiser_steps=denoiser_steps, seed=seed,
+        denoiser_steps=denoiser_steps, score_at=score_at or None, seed=seed,
         variants=variants_of(variant), cameras=cameras_of(cameras), refine_cameras=refine_cameras, device=device,
         parameters=define or None,
     )  # fmt: skip

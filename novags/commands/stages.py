@@ -181,8 +181,9 @@ def capture(
 def reconstruct(
     capture: Folder, *, out: Path, method: str | None = None, variant: str | None = None, preset: PresetName = "demo",
     pictures: Literal["8bit", "16bit"] | None = None, cameras: str | None = None, refine_cameras: bool = False,
-    points: int | None = None, iterations: int | None = None, denoiser_steps: int | None = None, seed: int = 0,
-    device: Device = "auto", export: tuple[Literal["3dgs", "splat", "spz", "spz2"], ...] = (),
+    points: int | None = None, iterations: int | None = None, denoiser_steps: int | None = None,
+    score_at: tuple[int, ...] = (), seed: int = 0, device: Device = "auto",
+    export: tuple[Literal["3dgs", "splat", "spz", "spz2"], ...] = (),
     overwrite: bool = False, wait: bool = False,
     dry_run: bool = False,
 ) -> None:  # fmt: skip
@@ -203,6 +204,7 @@ def reconstruct(
         points: Gaussians at the start.
         iterations: Of the fit.
         denoiser_steps: Of the denoiser before the fit starts.
+        score_at: Iterations after which held-out views are shown and scored, along one fit, which stays the same.
         seed: Of training.
         device: Where training runs; auto takes a GPU if there is one that can be used.
         export: Formats of viewers to write into RUN/viewers: a .ply of degree 3 with cameras.json, .splat, .spz
@@ -220,7 +222,8 @@ def reconstruct(
     name = _one_of([each.name for each in own], method)
     chosen = adapted(
         EXPERIMENTS[preset], methods=(name,), variants=own, cameras=cameras_of(cameras), refine_cameras=refine_cameras,
-        points=points, iterations=iterations, denoiser_steps=denoiser_steps, pictures=pictures, device=device,
+        points=points, iterations=iterations, denoiser_steps=denoiser_steps, score_at=score_at or None,
+        pictures=pictures, device=device,
     )  # fmt: skip
     config = replace(chosen.reconstruct(name), seed=seed)
     from novags.testbed.stages.viewers import check_viewers, viewer_files, write_viewers

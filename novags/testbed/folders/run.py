@@ -10,9 +10,10 @@ events.jsonl          losses, one line per step
 enhanced/NNNN.png     training pictures after the enhancement     denoised/NNNN.png   and what was fitted, if different
 renders/NNNN.png      held-out views                              renders_train/NNNN.png    training views
 exr/NNNN.exr          of every view, float32: R G B as rendered, Z (expected depth in the method's frame), alpha
+along/NNNNNN/         renders/ and exr/ of the held-out views after so many iterations of the fit, on request
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -43,6 +44,7 @@ EVENTS = "events.jsonl"
 CHECKPOINTS = (
     "checkpoint.safetensors", "checkpoint.denoiser.safetensors", "checkpoint.enhancer.safetensors", "checkpoints",
 )  # fmt: skip
+ALONG = "along"
 LARGEST = 1e12  # of rendered values: the sum of their squares over a picture stays within 32 bits
 SCENE = "point_cloud.ply"
 CAMERAS, VIEWERS = "cameras.json", "viewers"
@@ -60,6 +62,7 @@ RESULT = (
     "renders_train",
     "exr",
     "depth",
+    ALONG,
 )
 OWNS = (*RESULT, *CHECKPOINTS, METRICS, "report.html", "report.files")
 
@@ -70,6 +73,7 @@ class Run:
 
     path: Path
     record: dict[str, Any]
+    at: int | None = None  # iterations after which its held-out views are shown; None: at the end
 
     @property
     def name(self) -> str:
@@ -132,17 +136,21 @@ class Run:
 
     def rendering(self, name: str) -> np.ndarray:
         """The view `name` as rendered, float32 [h,w,3]; of runs made before floats were kept, the 8-bit picture."""
-        if (path := self.path / "exr" / f"{name}.exr").exists():
+        if (path := self._shown / "exr" / f"{name}.exr").exists():
             return np.stack([*_channels(path, "R", "G", "B")], -1)
         pictures = self._pictures(name)
         return read_png(next((file for file in pictures if file.exists()), pictures[0]))
 
     def shows(self, name: str) -> bool:
         """Whether the view `name` is rendered; programs need not render training views."""
-        return any(file.exists() for file in (self.path / "exr" / f"{name}.exr", *self._pictures(name)))
+        return any(file.exists() for file in (self._shown / "exr" / f"{name}.exr", *self._pictures(name)))
 
     def _pictures(self, name: str) -> list[Path]:
-        return [self.path / kind / f"{name}.png" for kind in ("renders", "renders_train")]
+        return [self._shown / kind / f"{name}.png" for kind in ("renders", "renders_train")]
+
+    @property
+    def _shown(self) -> Path:
+        return self.path if self.at is None else place_along(self.path, self.at)
 
     def depth(self, name: str) -> tuple[np.ndarray, np.ndarray]:
         """Expected z-depth in the frame of the method's cameras, and alpha, of the view `name`, float32 [h,w].
@@ -156,6 +164,10 @@ class Run:
             return nothing, nothing
         depth, alpha = _channels(path, "Z", "alpha")
         return depth, alpha
+
+    def along(self) -> "list[Run]":
+        """The same run after fewer iterations, in their order, where it was asked to be shown along its fit."""
+        return [replace(self, at=at) for at in self.record.get(ALONG, ())]
 
     def inputs(self, console: Console) -> tuple[Capture, Source]:
         """The capture it was made from, and the set from which that was made.
@@ -214,6 +226,11 @@ class Run:
         except (OSError, ValueError) as error:
             raise ValueError(f"{path} is missing or damaged ({brief(error)}): reconstruct again") from error
         return [event_of(line, f"{path}, line {number}") for number, line in enumerate(lines, 1)]
+
+
+def place_along(run: Path, iterations: int) -> Path:
+    """Where a run shows its held-out views after so many iterations."""
+    return run / ALONG / f"{iterations:06d}"
 
 
 def _channels(path: Path, *names: str) -> list[np.ndarray]:

@@ -35,7 +35,7 @@ VIEWER_CAMERAS = [{"img_name": str, "position": Numbers(3), "rotation": Numbers(
 RUN = {
     "name": str, "method": str, "title?": str, "capture": PLACE, "effects?": [str], "space": str, "config": dict,
     "enhancement": ({"enhancer": str, "pictures": str, "config": dict}, None), "cameras?": (CAMERAS, None),
-    "seconds": {"*": float},
+    "seconds": {"*": float}, "along?": [int],
     "stage": {**STAGE, "inputs": {"capture": str, "set": str}, "versions": {"*": str}, "hardware": HARDWARE},
 }  # fmt: skip
 EXPERIMENT = {"command": (str, None), "preset": dict}
@@ -46,6 +46,6 @@ SCORES = {
     "mean": {"*": ({"*": MEASURED}, None)}, "views": {"*": {"*": {"*": MEASURED}}}, "geometry?": (GEOMETRY, None),
     "noise?": ({"known": MEASURED, "targets": MEASURED, "renders": MEASURED, "bias_floor": MEASURED}, None),
     "training_2d": ({"enhanced": dict, "blur": BLUR, "best_blur?": BLUR}, None), "seconds": {"*": float},
-    "peak_bytes": int,
+    "peak_bytes": int, "along?": [{"iterations": int, "mean": {"*": ({"*": MEASURED}, None)}}],
 }  # fmt: skip
 METRICS = {"methods": {"*": SCORES}, "unavailable": {"*": str}}

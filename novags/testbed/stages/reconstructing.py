@@ -1,7 +1,7 @@
 """Reconstruct: a capture in, a run out. Reads the pictures, lets a method work on arrays, writes its results."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -32,6 +32,7 @@ from novags.testbed.stages.configs.reconstructing import ReconstructConfig, file
 from novags.testbed.stages.paths import keep_apart
 from novags.warm import compile_ahead, kernels_of
 from sensor_model.files.lock import locked
+from sensor_model.files.reading import some
 from simscenes.sets.pictures.exr import write_exr
 from simscenes.sets.pictures.png import write_png
 from simscenes.sets.writers.camera_files import write_json
@@ -208,6 +209,15 @@ def reconstruct_views(
         for i, name in enumerate(capture.names):
             write_rendering(folder, capture, i, result, frame.view(i, prepared.device))
             progress(i + 1, len(capture.names), f"view {name}")
+        for at, scene in result.along.items():
+            for i in capture.cameras.test_indices:
+                then = replace(result, scene=scene)
+                write_rendering(run_folder.place_along(folder, at), capture, i, then, frame.view(i, prepared.device))
+    if lost := [str(at) for at in asked_along(config.config) if at not in result.along]:
+        console.note(
+            f"reconstruct {variant.name}: not shown after {some(lost)} iterations: a fit is shown along its own "
+            "length, and where nothing but Gaussians is trained"
+        )
     return {
         "name": variant.name,
         "method": variant.method,
@@ -227,8 +237,14 @@ def reconstruct_views(
         "cameras": {"source": config.resolved()["cameras"], **frame.facts()},
         **result.scene.facts(),
         "training_views": len(problem.views),
+        **({run_folder.ALONG: sorted(result.along)} if result.along else {}),
         "seconds": result.seconds,
     }
+
+
+def asked_along(config: Any) -> tuple[int, ...]:
+    """The iterations after which a method with this configuration is to be shown; none where it has no fit."""
+    return tuple(getattr(getattr(config, "fit", None), "keep_at", ()))
 
 
 def write_images(folder: Path, names: Sequence[str], result: Reconstruction) -> None:
@@ -246,6 +262,7 @@ def write_rendering(folder: Path, capture: Capture, i: int, result: Reconstructi
     image, alpha, depth = (tensor[0].cpu().numpy().astype(np.float32) for tensor in result.render(view))
     name, held_out = capture.names[i], i in capture.cameras.test_indices
     picture = pictured(result, capture, image)
+    folder.mkdir(parents=True, exist_ok=True)
     write_png(folder / ("renders" if held_out else "renders_train") / f"{name}.png", picture)
     (folder / "exr").mkdir(exist_ok=True)
     colours = {c: np.ascontiguousarray(image[..., k]) for k, c in enumerate("RGB")}

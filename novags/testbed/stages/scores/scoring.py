@@ -60,6 +60,7 @@ def _score(run_path: Path, console: Console) -> dict[str, Any]:
             scores = score_test_views(run, captured, lit, networks() - lacking.keys(), progress)
         method = {
             **scores,
+            "along": [score_along(then, captured, lit) for then in run.along()],
             "training_2d": score_training_images(run, captured, lit),
             "noise": noise_scores(run, captured, lit),
             "cameras": run.record.get("cameras"),
@@ -106,17 +107,9 @@ def score_test_views(
     depths = dict[str, GeometryScores]()
     indices = capture.cameras.test_indices
     exposures = exposures_of(run, capture, lit) if run.space == "linear" else None
-    gain = None if exposures is None else exposures.dark
     for done, i in enumerate(indices):
         name = capture.names[i]
-        rendered = run.rendering(name)
-        halves = reference_halves(run, capture, lit, i)
-        views[name] = {
-            kind: linear_scores(rendered, reference, gain, halves.get(kind))
-            if kind in LINEAR
-            else image_scores(as_compared(rendered, run, capture, kind, exposures), reference, asked, halves.get(kind))
-            for kind, reference in references(run, capture, lit, i).items()
-        }
+        views[name] = view_scores(run, capture, lit, i, exposures, asked)
         if run.has_depth and (truth := true_depth(lit, i)) is not None:
             depth, alpha = run.depth(name)
             depths[name] = geometry_scores(depth * run.depth_scale, alpha, truth)
@@ -131,6 +124,30 @@ def score_test_views(
         if depths
         else None,
     }
+
+
+def view_scores(
+    run: Run, capture: Capture, lit: Source, i: int, exposures: Exposures | None, asked: Collection[str]
+) -> dict[str, Any]:
+    """Scores of view `i` against each of its references; `exposures`: of a run in linear light."""
+    rendered, halves = run.rendering(capture.names[i]), reference_halves(run, capture, lit, i)
+    gain = None if exposures is None else exposures.dark
+    return {
+        kind: linear_scores(rendered, reference, gain, halves.get(kind))
+        if kind in LINEAR
+        else image_scores(as_compared(rendered, run, capture, kind, exposures), reference, asked, halves.get(kind))
+        for kind, reference in references(run, capture, lit, i).items()
+    }
+
+
+def score_along(run: Run, capture: Capture, lit: Source) -> dict[str, Any]:
+    """Scores of a run after fewer iterations, `run.at`: without networks, which cost more than they say here."""
+    exposures = exposures_of(run, capture, lit) if run.space == "linear" else None
+    indices = capture.cameras.test_indices
+    views = {capture.names[i]: view_scores(run, capture, lit, i, exposures, ()) for i in indices}
+    kinds = next(iter(views.values())).keys()
+    means = {kind: mean_scores([scores[kind] for scores in views.values()]) for kind in kinds}
+    return {"iterations": run.at, "mean": means, "views": views}
 
 
 def shows_nothing(views: dict[str, Any]) -> dict[str, str]:

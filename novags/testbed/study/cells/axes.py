@@ -33,12 +33,14 @@ SETS = {
     "height": ("render.height",), "spp": ("render.spp",), "parameters": ("render.parameters",),
     "sensor": ("capture.sensor",), "electrons": ("capture.electrons",),
     "max_size": ("capture.max_size", "import.max_size"), "iterations": ("fit.iterations",),
-    "denoiser_steps": ("denoiser.warmup_steps",), "refine_cameras": ("fit.refine_cameras",),
+    "denoiser_steps": ("denoiser.warmup_steps",), "score_at": ("fit.keep_at",),
+    "refine_cameras": ("fit.refine_cameras",),
 }  # fmt: skip
 OF_RENDER = ("views", "width", "height", "spp")  # of no use to a set that is there already
 OF_CAPTURE = ("sensor", "electrons")  # of no use to photographs that are dark already
 # Of use to reconstructions alone.
-OF_RUNS = ("method", "cameras", "points", "iterations", "denoiser_steps", "pictures", "refine_cameras", "device")
+OF_RUNS = ("method", "cameras", "points", "iterations", "denoiser_steps", "score_at", "pictures", "refine_cameras",
+           "device")  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -204,6 +204,7 @@ def adapted(
     points: int | None = None,
     iterations: int | None = None,
     denoiser_steps: int | None = None,
+    score_at: tuple[int, ...] | None = None,
     pictures: str | None = None,
     refine_cameras: bool = False,
     seed: int | None = None,
@@ -235,7 +236,10 @@ def adapted(
     imported = _changed(preset.imported, max_size=max_size)
     if max_size is None and (bare is not None or (folder is not None and not is_rendered(folder))):
         max_size = max(preset.render.width, preset.render.height)
-    settings = {"fit.iterations": iterations, "denoiser.warmup_steps": denoiser_steps, "pictures": pictures}
+    settings = {
+        "fit.iterations": iterations, "fit.keep_at": score_at, "denoiser.warmup_steps": denoiser_steps,
+        "pictures": pictures,
+    }  # fmt: skip
     given = {name: value for name, value in settings.items() if value is not None}
     if refine_cameras:
         given["fit.refine_cameras"] = "default"
