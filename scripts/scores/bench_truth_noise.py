@@ -45,8 +45,8 @@ def compared(scene: str, folder: Path, size: int, spp: int, views: int) -> dict[
     sets = []
     for seed, samples in enumerate((spp, BETTER * spp, spp // 2)):
         path = folder / f"{scene}-{seed}"
-        asked = RenderConfig(scene=scene, n_views=views, width=size, height=size, spp=samples, seed=seed)
-        render(path, asked, QUIET)
+        shape: dict[str, Any] = {"n_views": views, "width": size, "height": size}
+        render(path, RenderConfig(scene=scene, spp=samples, truth_samples=1, seed=seed, **shape), QUIET)
         sets.append(open_source(path, QUIET))
     dark = folder / f"{scene}-dark"
     capture(folder / f"{scene}-0", dark, CaptureConfig(), QUIET)
