@@ -96,7 +96,7 @@ def test_made_up_colours_can_be_seen_on_white(color: str) -> None:
 
 def test_runs_share_a_noise_free_reference_if_enhancer_and_settings_are_the_same() -> None:
     def enhanced(**enhancement: Any) -> str:
-        return enhancement_of(Run(path=Path("r"), record={"enhancement": enhancement or None}))
+        return enhancement_of({"enhancement": enhancement or None})
 
     one = enhanced(enhancer="gamma", pictures="8bit", config={"gamma": 0.2, "target": 0.5})
     assert one == enhanced(enhancer="gamma", pictures="16bit", config={"target": 0.5, "gamma": 0.2})
