@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from novags.testbed.console.provenance import hardware, package_version
-from novags.testbed.metrics.perceptual import missing
+from novags.testbed.metrics import METRICS
 from sensor_model.files.python import INTERPRETER, python
 
 
@@ -34,7 +34,10 @@ def examine() -> Iterator[Finding]:
     yield _gsplat(machine["gpu"])
     yield from _mitsuba()
     yield _kernels()
-    yield Finding("LPIPS", "missing" if (why := missing()) else "ok", why or "package and weights found")
+    for metric in METRICS.values():
+        if metric.missing is not None:
+            why = metric.missing()
+            yield Finding(metric.heading, "missing" if why else "ok", why or "package and weights found")
 
 
 def _python() -> Finding:

@@ -1,7 +1,8 @@
 """Scores: pure functions of arrays that compare the results of a method with the truth.
 
 `METRICS` names the scores of pictures; `images` holds ours and computes all, `tone` aligns pictures first, `perceptual`
-is LPIPS. `linear` compares light, `geometry` depth, `consistency` one view with another, `noise` finds the noise left.
+is LPIPS, `st_lpips` a relative of it whose weights come in a package. `linear` compares light, `geometry` depth,
+`consistency` one view with another, `noise` finds the noise left.
 """
 
 from collections.abc import Mapping
@@ -20,6 +21,7 @@ METRICS: Registry[Metric] = Registry(
         "flip": "novags.testbed.metrics.images:FLIP",
         "delta_e": "novags.testbed.metrics.images:DELTA_E",
         "lpips": "novags.testbed.metrics.perceptual:LPIPS",
+        "st_lpips": "novags.testbed.metrics.st_lpips:ST_LPIPS",
     },
     "novags.metrics",
     Metric,
