@@ -124,7 +124,10 @@ def test_metrics_have_the_documented_shape(experiment: Path, tiny: Preset) -> No
         assert method["views"].keys() == {"0000", "0008"}
         for scores in (method["mean"], *method["views"].values()):
             assert scores.keys() == {"enhanced", "lit"}
-            assert scores["enhanced"].keys() == scores["lit"].keys() == set(METRICS)
+            corrected = {name for name, metric in METRICS.items() if metric.squared}
+            moved = METRICS.keys() - corrected - {"lpips"}
+            about = {f"{name}_error" for name in corrected} | {f"{name}_bias" for name in moved} | {"truth_variance"}
+            assert scores["enhanced"].keys() == scores["lit"].keys() == METRICS.keys() | about
         assert {"render", "capture", "reconstruct"} <= method["seconds"].keys()
         assert method["peak_bytes"] > 0
     rows = {row["method"]: row for row in read_json(experiment / "results.json")["rows"]}
@@ -186,7 +189,7 @@ def test_a_second_run_does_nothing_but_the_report(experiment: Path, tiny: Preset
     before = modified(experiment)
     run(tiny, experiment, quiet, report=write_report, command="novags run")
     changed = {name for name, when in modified(experiment).items() if before.get(name) != when}
-    assert changed == {"experiment.json", "report.html", "results.csv", "results.json"}
+    assert changed == {"experiment.json", "report.html", "results.csv", "differences.csv", "results.json"}
 
 
 def test_pictures_too_small_for_raw_files_are_refused_before_the_capture(

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Mapping
+from contextlib import nullcontext, suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -88,11 +89,13 @@ class StudyTable:
         for cell, key in self.plan.runs:
             task = self.plan.tasks[key]
             folder = task.folder(self.store)
-            done = key in self.kept if key not in states else states[key].name == "done"
-            if done and (key in self._runs or (folder / METRICS).is_file()):
-                record = read_json(folder / RECORD) if (folder / RECORD).is_file() else {}
-                method = task.config.variant.method
-                found.append(Finished(cell.values, method, self._whole(key), enhancement_of(record)))
+            looked_at = states.get(key, State()).name == "done"
+            if (looked_at or (key in self.kept and key not in states)) and (folder / METRICS).is_file():
+                # A run of an earlier start may turn out to be damaged: nothing is kept before it is looked at.
+                with nullcontext() if looked_at else suppress(ValueError):
+                    scores = self._whole(key) if looked_at else read_scores(folder)
+                    record = read_json(folder / RECORD) if (folder / RECORD).is_file() else {}
+                    found.append(Finished(cell.values, task.config.variant.method, scores, enhancement_of(record)))
         return found
 
     def _scores_of(self, key: str) -> dict[str, Any]:
@@ -116,8 +119,7 @@ class StudyTable:
     def _whole(self, key: str) -> dict[str, Any]:
         """All scores of a finished run, view by view."""
         if key not in self._runs:
-            metrics = read_json(self.plan.tasks[key].folder(self.store) / METRICS, shapes.METRICS)
-            (self._runs[key],) = metrics["methods"].values()
+            self._runs[key] = read_scores(self.plan.tasks[key].folder(self.store))
         return self._runs[key]
 
     def _recovered(self, states: Mapping[str, State]) -> dict[str, dict[str, float | None]]:
@@ -134,6 +136,16 @@ class StudyTable:
                 shares = _shares({name: self._whole(key) for name, key in keys.items()}, methods)
                 found |= {keys[name]: own for name, own in shares.items()}
         return found
+
+
+def read_scores(folder: Path) -> dict[str, Any]:
+    """All scores of the run in a folder.
+
+    Raises:
+        ValueError: If they cannot be read.
+    """
+    (scores,) = read_json(folder / METRICS, shapes.METRICS)["methods"].values()
+    return dict(scores)
 
 
 def rescored(out: Path) -> None:
