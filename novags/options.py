@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-PresetName = Literal["demo", "small", "paper"]
+PresetName = Literal["demo", "small", "paper", "paper-160"]
 Device = Literal["auto", "cpu", "cuda"]
 Listed = Literal[
     "all", "scenes", "sensors", "methods", "levels", "presets", "cameras", "enhancers", "metrics", "effects"

@@ -77,16 +77,19 @@ def levels() -> str:
 
 def presets() -> str:
     """The presets with their sizes."""
+    from novags.methods import METHODS
     from novags.testbed.study.cells.presets import EXPERIMENTS
 
     rows = []
     for name, preset in EXPERIMENTS.items():
         render, capture = preset.render, preset.capture
-        iterations = preset.reconstruct(preset.methods[0]).config.fit.iterations
+        config = preset.reconstruct(preset.methods[0])
+        iterations, published = config.config.fit.iterations, METHODS[config.variant.method].config().fit.iterations
+        length = f"{iterations} iterations" if iterations == published else f"{iterations} of {published} iterations"
         rows.append((
             name,
             f"{render.scene}, {render.n_views} views of {render.width} x {render.height}, {capture.sensor} at "
-            f"{capture.electrons:g} electrons, {iterations} iterations; {', '.join(preset.methods)}",
+            f"{capture.electrons:g} electrons, {length}; {', '.join(preset.methods)}",
         ))  # fmt: skip
     return table(rows)
 

@@ -13,6 +13,7 @@ METHOD = Method(
     config=NovaConfig,
     train=Later("novags.methods.nova.trainer:train"),
     parts=parts,
+    least={"denoiser": 64, "fit": 800},
     knobs=KNOBS,
     source="NOVA-GS: Noise-Aware View-Consistent Gaussian Splatting for Low-Light Novel View Synthesis",
     cameras="vggt",

@@ -13,6 +13,7 @@ METHOD = Method(
     config=NovaPlusConfig,
     train=Later("novags.methods.nova_plus.trainer:train"),
     parts=parts,
+    least={"likelihood": 666, "structure": 666},
     knobs=KNOBS,
     source="docs/nova-plus.md",
 )

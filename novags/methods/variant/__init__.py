@@ -36,6 +36,7 @@ class Method:
         source: The publication or text that it follows.
         parts: The parts of `train` whose steps its progress counts through, and how many each has, for a configuration;
             None: their steps all take the same time.
+        least: Steps of these parts below which it is measured to lose by that alone, which is said before it begins.
         knobs: Choices of it that trade accuracy for time, by name; `novags pareto METHOD` measures them.
         cameras: The camera source that the publication uses; None if it does not matter.
         sees_clean: Whether it is given the noise-free exposures; a bound, never a rival.
@@ -51,6 +52,7 @@ class Method:
     train: "Callable[..., Reconstruction]"
     source: str
     parts: Callable[[Any], dict[str, int]] | None = None
+    least: Mapping[str, int] = field(default_factory=dict)
     knobs: Mapping[str, MethodKnob] = field(default_factory=dict)
     cameras: str | None = None
     sees_clean: bool = False

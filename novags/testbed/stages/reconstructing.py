@@ -187,6 +187,10 @@ def reconstruct_views(
     if parts is not None and parts.get("fit") == 0:
         console.note(f"reconstruct {variant.name}: 0 iterations of the fit: the first Gaussians (of NeRF: the first "
                      "field) untrained")  # fmt: skip
+    for part, steps in (parts or {}).items():
+        if 0 < steps < method.least.get(part, 0):
+            console.note(f"reconstruct {variant.name}: {steps} steps of {part} are too few to work, of at least "
+                         f"{method.least[part]} (docs/accuracy-and-time.md): it loses by that alone")  # fmt: skip
     if prepared.device.type == "cpu" and (kernels := kernels_of(config.config)) is not None:
         compile_ahead(kernels, console.note)
     with (

@@ -1,7 +1,10 @@
 """The work done, and which method comes first."""
 
+from collections.abc import Sequence
 from typing import Any
 
+from novags.methods import METHODS
+from novags.testbed.folders.run import Run
 from novags.testbed.report.blocks.cost import costs
 from novags.testbed.report.grid import verdict as verdict_of_many
 from novags.testbed.report.material import Material, Place
@@ -21,11 +24,26 @@ def header(material: Material, page: Page) -> dict[str, Any]:
     found: dict[str, Any] = {"title": material.title, "verdict": "", "cards": []}
     if (place := material.one) is not None:
         seconds, found["verdict"] = sum(row["seconds"] for row in costs(material)), verdict(place)
-        return {**found, "what": what_was_done(place, seconds), "cards": cards(place, seconds)}
+        return {**found, "what": what_was_done(place, seconds), "cards": cards(place, seconds),
+                "short": short(list(place.runs.values()))}  # fmt: skip
     if material.study:
         states = ", ".join(f"{count} {state}" for state, count in counted(material.rows).items())
         return {**found, "what": f"{states}.", "verdict": verdict_of_many(material.lines, material.competes)}
     return {**found, "what": f"{len(material.places)} captures, {len(material.rows)} runs. {APART}"}
+
+
+def short(runs: Sequence[Run]) -> str:
+    """In words that fits are shorter than their methods were published with; "" where none is."""
+    lengths = set[tuple[int, int]]()
+    for run in runs:
+        row, fit = METHODS.get(run.method), run.record["config"].get("fit", {})
+        published = None if row is None else getattr(getattr(row.config(), "fit", None), "iterations", None)
+        if published is not None and 0 < fit.get("iterations", 0) < published:
+            lengths.add((fit["iterations"], published))
+    if not lengths:
+        return ""
+    told = ", ".join(f"{here:,} of {published:,}" for here, published in sorted(lengths))
+    return f"Fits took {told} iterations: stopping early favours methods that do not denoise."
 
 
 def what_was_done(place: Place, seconds: float) -> str:

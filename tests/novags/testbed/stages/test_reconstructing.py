@@ -1,5 +1,6 @@
-"""Claims about what a reconstruction depends on, and where its seed goes; nothing is reconstructed."""
+"""Claims about what a reconstruction depends on, where its seed goes, and what is said before it begins."""
 
+import io
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -88,7 +89,7 @@ def test_a_run_has_a_camera_of_every_training_view_and_a_picture_of_every_view(
     config = replace(adapted(EXPERIMENTS["demo"], seed=7).reconstruct("naive"), points=50)
     prepared = reconstructing.prepare(opened, opened.source(QUIET), config, QUIET)
     result = SimpleNamespace(viewmats=None, save=lambda folder: None, space="lit", enhancement=None, found=None,
-                             config=config.config, scene=SimpleNamespace(facts=dict), seconds={}, enhanced=None,
+                             config=config.config, scene=SimpleNamespace(facts=dict), seconds={}, enhanced=None, along={},
                              targets=None)  # fmt: skip
     method = SimpleNamespace(parts=None, train=lambda *_, **__: result, sees_clean=False, sees_surface=False)
     monkeypatch.setattr(reconstructing, "METHODS", {"naive": method})
@@ -123,3 +124,20 @@ def test_each_file_that_settings_name_counts_and_its_neighbours_do_not(
     after = module.files_of(config)
     assert after.keys() == before.keys() == {"weights: a.pt", "weights: b.pt"}
     assert {name for name in after if after[name] != before[name]} == {f"weights: {changed}"}
+
+
+@pytest.mark.parametrize(("steps", "said"), [(8, True), (64, False)])
+def test_a_part_that_is_too_short_to_work_is_said_before_it_begins(
+    capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, steps: int, said: bool
+) -> None:
+    def train(*_: Any, **__: Any) -> Any:
+        raise ValueError("it began")
+
+    stream, row = io.StringIO(), reconstructing.METHODS["nova"]
+    monkeypatch.setattr(reconstructing, "METHODS", {"nova": replace(row, train=train)})
+    preset = adapted(EXPERIMENTS["demo"], methods=("nova-fast",), points=60, iterations=900, denoiser_steps=steps)
+    with pytest.raises(ValueError, match="it began"):
+        stages.reconstruct(capture, tmp_path / "run", preset.reconstruct("nova-fast"), Console(stream=stream))
+    told = f"reconstruct nova-fast: {steps} steps of denoiser are too few to work, of at least 64"
+    assert (told in stream.getvalue()) == said
+    assert "steps of fit are too few" not in stream.getvalue()

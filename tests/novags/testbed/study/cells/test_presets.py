@@ -256,3 +256,23 @@ def test_the_seed_of_photographs_reaches_their_cameras(tmp_path: Path) -> None:
 def test_all_own_variants_are_compared() -> None:
     own = tuple(parse_variant(f"v{i}=naive:fit.iterations={10 + i}") for i in range(3))
     assert adapted(EXPERIMENTS["demo"], variants=own).methods[-3:] == ("v0", "v1", "v2")
+
+
+def test_the_small_paper_differs_from_the_paper_in_size_views_and_gaussians_alone() -> None:
+    paper, small = EXPERIMENTS["paper"], EXPERIMENTS["paper-160"]
+    assert (small.render.width, small.render.height, small.render.n_views) == (160, 160, 20)
+    assert replace(small.render, width=800, height=800, n_views=128) == paper.render
+    assert small.capture == paper.capture
+    assert small.methods == paper.methods
+    for name in paper.methods:
+        ours, theirs = (flattened(preset.reconstruct(name).config) for preset in (small, paper))
+        assert {key for key in theirs if ours[key] != theirs[key]} == {"fit.cap_max"}
+        assert ours["fit.iterations"] == 7000
+        assert ours["fit.sh_degree"] == 3
+
+
+@pytest.mark.parametrize("name", ["demo", "small", "paper", "paper-160"])
+def test_noise_of_the_truth_stays_below_two_percent_of_the_oracles_error(name: str) -> None:
+    """It is 14 % at the demo's 96 samples, and falls as one over samples."""
+    render = EXPERIMENTS[name].render
+    assert 0.14 * 96 / (render.spp * render.truth_samples) < 0.02
