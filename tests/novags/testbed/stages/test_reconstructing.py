@@ -89,8 +89,8 @@ def test_a_run_has_a_camera_of_every_training_view_and_a_picture_of_every_view(
     config = replace(adapted(EXPERIMENTS["demo"], seed=7).reconstruct("naive"), points=50)
     prepared = reconstructing.prepare(opened, opened.source(QUIET), config, QUIET)
     result = SimpleNamespace(viewmats=None, save=lambda folder: None, space="lit", enhancement=None, found=None,
-                             config=config.config, scene=SimpleNamespace(facts=dict), seconds={}, enhanced=None, along={},
-                             targets=None)  # fmt: skip
+                             config=config.config, scene=SimpleNamespace(facts=dict), seconds={}, enhanced=None,
+                             along={}, targets=None)  # fmt: skip
     method = SimpleNamespace(parts=None, train=lambda *_, **__: result, sees_clean=False, sees_surface=False)
     monkeypatch.setattr(reconstructing, "METHODS", {"naive": method})
     monkeypatch.setattr(
