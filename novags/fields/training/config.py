@@ -21,6 +21,8 @@ class FieldFitConfig:
         warm: Steps in which it rises linearly.
         even: Share of the samples that is spread evenly over the ray.
         distortion: Weight of the distortion loss of mip-NeRF 360, which draws a ray's weights together; 0: none.
+        table_decay: Weight of the mean over the levels of the mean squared feature of a level's table, which keeps
+            features small that few samples meet (Zip-NeRF, Barron et al. 2023, takes the sum over the levels); 0: none.
         near_scale: Gradients of samples nearer than this share of the scene's reach (`Box.middle`) fall with the square
             of the distance: there, few pixels decide alone, and fog before a camera would explain its picture
             (Philip and Deschaintre 2023, "Floaters no more"); 0: they do not.
@@ -40,6 +42,7 @@ class FieldFitConfig:
     warm: int = 50
     even: float = 0.25
     distortion: float = 1e-3
+    table_decay: float = 0.0
     near_scale: float = 0.15
     anchored: float = 0.1
     points: bool = True
@@ -56,7 +59,7 @@ class FieldFitConfig:
             raise ValueError(f"rays must be a multiple of patch^2, got {self.rays} and a patch of {self.patch}")
         if not (0 < self.rate < math.inf and 0 < self.rate_end <= 1):
             raise ValueError(f"rate must be > 0 and rate_end in (0, 1], got {self.rate} and {self.rate_end}")
-        for name in ("near_scale", "anchored"):
+        for name in ("near_scale", "anchored", "table_decay"):
             if not 0 <= getattr(self, name) < math.inf:
                 raise ValueError(f"{name} must be finite and >= 0, got {getattr(self, name)}")
         if not 0 <= self.even <= 1 or not 0 <= self.distortion < math.inf:

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from novags.fields.box import Box
 from novags.fields.evaluate import basis_of, evaluate, gradients
-from novags.fields.field import first_field
+from novags.fields.field import Field, first_field
 from novags.fields.layout import SIDE
 from novags.fields.march import Proposal, cells_near, rays_of, sampled, weights_of
 from novags.fields.training.anchors import Anchors, PointLoss
@@ -183,10 +183,19 @@ def _found(
     if anchors is not None:
         there = anchors.slopes(state.field, rng)
         slopes = {name: slope + there[name] for name, slope in slopes.items()}
+    if config.table_decay:
+        slopes["table"] = slopes["table"] + table_decay_slope(state.field, config.table_decay)
     slopes |= {name: t.grad.numpy() for name, t in state.extra.items() if t.grad is not None}
     if not math.isfinite(sum(float(np.abs(slope).sum()) for name, slope in slopes.items() if name != "table")):
         raise NotFinite(f"the gradient must be finite, and is not in step {iteration}: lower the learning rate")
     return found, slopes, samples.positions, flat[:, 0]
+
+
+def table_decay_slope(field: Field, weight: float) -> np.ndarray:
+    """Gradient [rows, features] of `weight` times the mean over levels of the mean squared feature of a level."""
+    table, sizes = field.table.detach().numpy(), np.diff(field.layout.starts)
+    each = np.repeat(2 * weight / (len(sizes) * sizes * table.shape[1]), sizes).astype(np.float32)
+    return np.asarray(each[:, None] * table)
 
 
 def _update(state: FieldState, slopes: Mapping[str, np.ndarray], rate: float) -> None:

@@ -2,11 +2,12 @@
 
     dark colour  I = sum_i  w_i t_i c_i     t_i = exp(-sum_{j <= i} s_j d_j)     s: absorption, an output of the field
     lit colour   J = sum_i  w_i c_i         w, c: as in NeRF                       d: width of a sample's interval
-    loss = 2 RawNeRF's(I, y)
+    loss = RawNeRF's(I, y)
            + 1 - SSIM(J, luminance-mapped y) over a stochastic square (S3IM)
            + 1e-3 bright channel: (1 - max of J over channels and a square)^2
            + 1e-3 overlap: mean over rays of sum_i w_i (1 - exp(-s_i d_i)): the medium is where the surface is not
            + 0.1 variation of s along a ray
+           + 10 mean over the levels of the field of their mean squared feature
 
 The mapping of y brings its mean to `mean` and its contrast to `contrast` times its value before. Liu et al. 2025,
 "I2-NeRF: learning neural radiance fields under physically-grounded media interactions", and the published code's

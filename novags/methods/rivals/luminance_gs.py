@@ -32,7 +32,7 @@ from novags.splats.training.fit import fit
 from novags.splats.training.losses import photometric_loss
 from novags.splats.training.step import Step
 
-LATER = 0.3  # of the run, after which the histogram counts half: 3,000 of 10,000 iterations
+LATER, THEN = 0.3, 0.1  # of the run, after which the histogram counts so much: 3,000 of 10,000 iterations
 DARKEST = 1 / 510  # mean of a picture, half a code of 8 bits: a black one asks for no contrast
 
 
@@ -73,7 +73,7 @@ class LuminanceLoss:
         bright = self.curves.brightened(view, curve)
         lit = photometric_loss(step.render, bright, config.fit.dssim_weight)
         contrast = contrast_loss(target, step.render, config.contrast / self.means[view])
-        weight = 1.0 if step.iteration < LATER * step.iterations else 0.5
+        weight = 1.0 if step.iteration < LATER * step.iterations else THEN
         histogram = histogram_loss(curve, shape, self.equalising[view], weight)
         extra = config.contrast_weight * contrast + config.histogram_weight * histogram
         return dark + config.lit_weight * lit + extra

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from novags.fields import render as rendering
 from novags.fields.box import Box, box_of
+from novags.fields.field import first_field
 from novags.fields.layout import SIDE, FieldLayout
 from novags.fields.march import Proposal, cells_near
 from novags.fields.render import render_field
@@ -338,3 +339,23 @@ def test_a_checkpoint_of_any_other_input_is_refused(what: str, tmp_path: Path) -
             given["views"], given["points"], given["box"], mse(images), given["config"], checkpoint=path,
             extra=given["extra"],
         )  # fmt: skip
+
+
+def test_the_decay_of_the_tables_is_the_gradient_of_each_levels_mean_square_and_shrinks_them() -> None:
+    layout = FieldLayout(finest=64, log2_rows=14)
+    made = first_field(layout, 0)
+    table = made.table.clone().double().requires_grad_()
+    levels = [table[a:b] for a, b in zip(layout.starts[:-1], layout.starts[1:], strict=True)]
+    assert len({len(level) for level in levels}) > 1
+    (0.7 * torch.stack([level.square().mean() for level in levels]).mean()).backward()
+    assert table.grad is not None
+    np.testing.assert_allclose(fitting.table_decay_slope(made, 0.7), table.grad.numpy(), rtol=1e-5)
+    views, images, _, points = ball()
+    box, config = box_of(views.centers, points), dataclasses.replace(TINY, iterations=60)
+    norms = [
+        fit_field(
+            views, points, box, mse(images), dataclasses.replace(config, table_decay=weight)
+        ).state.field.table.norm()
+        for weight in (0.0, 10.0)
+    ]
+    assert norms[1] < 0.7 * norms[0]

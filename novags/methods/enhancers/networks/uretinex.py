@@ -5,8 +5,9 @@ a network for each of both, all rounds with the same weights:
 
     P = (I Q + g R) / (Q² + g),   Q = (sum_c I_c P_c + l L) / (sum_c P_c² + l),   R <- net(P, Q),   L <- net(Q)
 
-with g = 0.1 and l = 0.5, both 0.05 larger in each further round. A last network brightens L by a ratio, and the result
-is that times R. The authors' files are three; the last network's file holds the others as well.
+with g = 0.1 and l = 0.5, both 0.05 larger in each further round; in the first P and Q are R and L of the split. A last
+network brightens L by a ratio, and the result is that times R. The authors' files are three; the last network's file
+holds the others as well.
 
 Code and files are for non-commercial use, so the code was not read. Names and sizes of the layers follow the official
 files; the equations and constants are published. Everything else was chosen by the results of the official weights on
@@ -118,8 +119,9 @@ class URetinex(nn.Module):
         Q, found = L, []
         for k in range(ROUNDS):
             g, weight = FIRST_R + MORE * k, FIRST_L + MORE * k
-            P = (picture * Q + g * R) / (Q * Q + g)
-            Q = ((picture * P).sum(1, keepdim=True) + weight * L) / ((P * P).sum(1, keepdim=True) + weight)
+            P = R if k == 0 else (picture * Q + g * R) / (Q * Q + g)
+            if k > 0:
+                Q = ((picture * P).sum(1, keepdim=True) + weight * L) / ((P * P).sum(1, keepdim=True) + weight)
             R, L = self.model_R(P, Q), self.model_L(Q)
             found.append((P, Q, R, L))
         return found

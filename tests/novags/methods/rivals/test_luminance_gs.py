@@ -63,7 +63,7 @@ def test_the_dark_colour_is_the_lit_one_times_k_plus_b_in_the_constant_term() ->
                 assert float(found[n, k, c]) == pytest.approx(float(features[n, c] * sh[n, k, c] + bias), rel=1e-5)
 
 
-@pytest.mark.parametrize(("iteration", "weight"), [(29, 1.0), (30, 0.5)])
+@pytest.mark.parametrize(("iteration", "weight"), [(29, 1.0), (30, 0.1)])
 def test_the_loss_is_the_weighted_sum_of_its_parts(iteration: int, weight: float) -> None:
     g = torch.Generator().manual_seed(6)
     pictures = 0.2 * torch.rand(2, 16, 12, 3, generator=g)
@@ -123,8 +123,9 @@ def test_a_dark_wall_is_shown_as_dark_as_it_was_seen_and_as_bright_as_its_curves
     sh = dark_colors(SimpleNamespace(gaussians=scene.gaussians))  # type: ignore[arg-type]
     low = dataclasses.replace(scene, gaussians=dataclasses.replace(scene.gaussians, sh=sh)).render(inputs.views)[0]
     assert float((low[inside] - dark).abs().mean()) < 0.1 * float(dark.mean())
-    # in the end an equalising curve, of mean 1/2, and a nearly straight one draw it equally hard
-    assert float(result.targets.mean()) == pytest.approx((0.5 + float(inputs.srgb8.mean())) / 2, abs=0.04)
+    # in the end a nearly straight curve draws it five times as hard as an equalising one, of mean 1/2
+    straight, equal = float(inputs.srgb8.mean()), 0.5
+    assert (equal + 5 * straight) / 6 < float(result.targets.mean()) < (equal + straight) / 2
 
 
 def test_black_pictures_ask_for_no_contrast(problem: Callable[..., Problem]) -> None:

@@ -35,9 +35,12 @@ def by_hand(made: URetinex, I: np.ndarray, ratio: float, conv) -> tuple[list[np.
     R, L = both[:3], both[3:]
     Q, rounds = L, []
     for g, weight in ((0.1, 0.5), (0.15, 0.55), (0.2, 0.6)):
-        P = np.stack([(I[c] * Q[0] + g * R[c]) / (Q[0] ** 2 + g) for c in range(3)])
-        Q = (sum(I[c] * P[c] for c in range(3)) + weight * L[0]) / (sum(P[c] ** 2 for c in range(3)) + weight)
-        Q = Q[None]
+        if not rounds:
+            P, Q = R, L
+        else:
+            P = np.stack([(I[c] * Q[0] + g * R[c]) / (Q[0] ** 2 + g) for c in range(3)])
+            Q = (sum(I[c] * P[c] for c in range(3)) + weight * L[0]) / (sum(P[c] ** 2 for c in range(3)) + weight)
+            Q = Q[None]
         x = np.concatenate([np.maximum(layer("model_R.conv1", P, 1), 0), np.maximum(layer("model_R.conv2", Q, 1), 0)])
         squeezed = np.maximum(values["model_R.se_layer.fc.0.weight"] @ x.mean((1, 2)), 0)
         x = x / (1 + np.exp(-values["model_R.se_layer.fc.2.weight"] @ squeezed))[:, None, None]
