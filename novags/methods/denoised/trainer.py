@@ -20,7 +20,7 @@ from novags.methods.enhanced.gaussian_fit import fit_enhanced
 from novags.methods.enhancers.applying import enhanced, enhanced_light
 from novags.methods.enhancers.choice import Enhancement
 from novags.methods.inputs import Pictures
-from novags.methods.problem import Problem
+from novags.methods.problem import Problem, gathered
 from novags.methods.reconstruction import Progress, Reconstruction
 from novags.splats.files.tensors import digest, read, write_tensors
 from sensor_model.files.door import read_bytes
@@ -51,7 +51,7 @@ def train(
     adapting = parts(config)["denoiser"]
 
     def targets(problem: Problem, enhancer: Enhancement, pictures: Pictures) -> Tensor:
-        return enhanced_light(problem, linear, enhancer, pictures)
+        return gathered(enhanced_light(problem, linear, enhancer, pictures), problem.srgb8)
 
     def report(done: int, total: int, entry: dict[str, float]) -> None:
         if progress is not None:
