@@ -6,7 +6,7 @@ from typing import Any, TypeVar
 
 Result = TypeVar("Result")
 
-LIMIT = 200_000_000  # bytes; beyond it the least recently used results are dropped and made again
+LIMIT = 100_000_000  # bytes; beyond it the least recently used results are dropped and made again
 SMALL = 1e-4  # of the limit: a result that is not worth dropping
 
 

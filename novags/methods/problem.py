@@ -216,7 +216,7 @@ def stacked(read: Callable[[int], np.ndarray], indices: Sequence[int]) -> Tensor
 
 def gathered(views: Iterable[Tensor], like: Tensor) -> Tensor:
     """Images [h, w, ...], one for each view of `like`, as a tensor of its shape, type and device; one by one."""
-    found = torch.empty_like(like)
+    found = torch.empty_like(like, memory_format=torch.contiguous_format)
     for place, view in zip(found, views, strict=True):
         place.copy_(view)
     return found

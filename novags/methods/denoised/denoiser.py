@@ -1,5 +1,7 @@
 """The trained denoiser on the pictures of one capture: for single pictures, and for the methods that use it."""
 
+from dataclasses import replace
+
 from torch import Tensor
 
 from novags.methods.denoised.config import DenoiseConfig
@@ -7,6 +9,7 @@ from novags.methods.denoised.estimate import estimate_all
 from novags.methods.denoised.measured import MeasuredPictures
 from novags.methods.denoised.recorrupted import adapt
 from novags.methods.denoised.weights import load_weights
+from novags.methods.problem import gathered
 from novags.methods.reconstruction import Progress
 
 
@@ -23,8 +26,14 @@ def denoised(
         more: As for `recorrupted.adapt`.
     """
     network = load_weights().to(pictures.electrons.device)
-    if config.adapt is not None:
-        adapted = adapt(network, pictures, config.adapt, seed=seed, progress=progress, more=more)
-        return pictures.linear(adapted.estimate_all(pictures, turns=config.turns))
-    electrons = estimate_all(network, pictures.electrons, pictures.mask, pictures.read_variance, turns=config.turns)
-    return pictures.linear(electrons)
+    adapted = None if config.adapt is None else adapt(
+        network, pictures, config.adapt, seed=seed, progress=progress, more=more
+    )  # fmt: skip
+
+    def estimated(view: Tensor) -> Tensor:
+        if adapted is not None:
+            return adapted.estimate_all(replace(pictures, electrons=view), turns=config.turns)
+        return estimate_all(network, view, pictures.mask, pictures.read_variance, turns=config.turns)
+
+    views = (pictures.linear(estimated(view))[0] for view in pictures.electrons.split(1))
+    return gathered(views, pictures.electrons.movedim(1, -1))

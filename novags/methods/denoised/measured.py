@@ -56,10 +56,8 @@ class MeasuredPictures:
 
         Not clipped, but for values above 1 before a colour matrix: development clips there too.
         """
-        light = electrons.movedim(1, -1)
-        if self.matrix is None:
-            return light * self.unit
-        return gathered(((view * self.unit).clamp_max(1.0) @ self.matrix.T for view in light), light)
+        light = electrons.movedim(1, -1) * self.unit
+        return light if self.matrix is None else light.clamp_max(1.0) @ self.matrix.T
 
 
 def measured(problem: Problem) -> MeasuredPictures:

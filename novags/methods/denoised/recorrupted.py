@@ -151,12 +151,9 @@ class Adapted:
 
     def estimate_all(self, pictures: MeasuredPictures, *, turns: int) -> Tensor:
         """The means of the pictures, electrons [C, 3, H, W]; as `estimate_all`."""
-        found = torch.empty_like(pictures.electrons)
-        for place, electrons in zip(found.split(1), pictures.electrons.split(1), strict=True):
-            both = (estimate_all(network, electrons, pictures.mask, pictures.read_variance, turns=turns)
-                    for network in (self.before, self.after))  # fmt: skip
-            place.copy_(self.blend(*both))
-        return found
+        before, after = (estimate_all(network, pictures.electrons, pictures.mask, pictures.read_variance, turns=turns)
+                         for network in (self.before, self.after))  # fmt: skip
+        return self.blend(before, after)
 
 
 def adapt(

@@ -28,6 +28,7 @@ from novags.methods.nova_plus.targets import denoised_light, guided_light
 from novags.methods.problem import Problem, gathered
 from novags.methods.reconstruction import Progress, Reconstruction
 from novags.methods.tone import ToneCurve, tone_curve
+from novags.process import give_back
 from novags.splats.gaussians import Gaussians
 from novags.splats.training.config import FitConfig, LearningRates
 from novags.splats.training.fit import FitResult, fit
@@ -128,6 +129,7 @@ class _Work:
         It starts from the first points again: the thin, many-layered surfaces of stage 1 average noise well, but show
         the right colours from the wrong depth, and no loss would pull them out of it.
         """
+        give_back()
         guide = gathered(self._mean_tones(firsts), self.data.light)
         h = self.config.bandwidth
         if h is None:

@@ -3,7 +3,6 @@
 import dataclasses
 import importlib
 import math
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -113,7 +112,7 @@ def test_the_merged_set_is_what_is_judged_and_its_first_seed_the_measure(
     config = dataclasses.replace(CONFIG, stages="likelihood")
     judged: list[tuple[torch.Tensor, torch.Tensor]] = []
 
-    def spy(tones: Iterable[torch.Tensor], other: torch.Tensor, *_: Any) -> Verdict:
+    def spy(tones: Any, other: torch.Tensor, *_: Any) -> Verdict:
         judged.append((torch.stack(list(tones)), other))
         return Verdict(0.0, 1.0)
 
