@@ -85,7 +85,7 @@ def problem_light(problem: Problem, noise: Noise, shared: tuple[str, ...]) -> Me
     if raw is None or raw.balance is None or noise.raw is None:
         return measured_light(noise, raw, problem.linear16, shared)
     raw = replace(raw, dn=raw.dn)  # read once
-    same = raw.dn.shape[:3] == problem.srgb8.shape[:3]
+    same = raw.dn.shape[:3] == (len(problem.views), problem.views.height, problem.views.width)
     return measured_light(noise, raw, None if same else problem.linear16, shared)
 
 

@@ -112,7 +112,7 @@ class Problem:
         views: Training cameras (C of them) as the camera source gave them; they may be wrong.
         start: Initial points.
         seed: Of every random choice.
-        srgb8: The 8-bit pictures, sRGB-encoded, float32 [C, H, W, 3] in 0..1.
+        srgb8: The 8-bit pictures, sRGB-encoded, float32 [C, H, W, 3] in 0..1. May be given as a function (`WhenUsed`).
         linear16: The 16-bit pictures, linear RGB, float32 [C, H, W, 3], 0 = black, 1 = white, not clipped at black;
             None without them. May be given as a function (`WhenUsed`).
         raw: The raw frames, or None.
@@ -137,7 +137,7 @@ class Problem:
     views: Views
     start: Start
     seed: int
-    srgb8: Tensor
+    srgb8: WhenUsed[Tensor] = WhenUsed()
     linear16: WhenUsed[Tensor | None] = WhenUsed(None)
     raw: RawPictures | None = None
     noise: Noise | None = None
@@ -154,7 +154,7 @@ class Problem:
     def __post_init__(self) -> None:
         want = (len(self.views), self.views.height, self.views.width, 3)
         for name in ("srgb8", "linear16", "clean", "clean_demosaiced"):
-            value = vars(self)[f"_{name}" if name == "linear16" else name]
+            value = vars(self).get(f"_{name}", vars(self).get(name))  # where it is a function: not called
             if isinstance(value, Tensor) and value.shape != want:
                 raise ValueError(f"{name} must be [C, H, W, 3] = {list(want)} like the views, got {list(value.shape)}")
         if not self.names:
@@ -185,7 +185,7 @@ class Problem:
     def to(self, device: torch.device | str) -> "Problem":
         """The same problem with its pictures and cameras on another device, and no shared results yet."""
         device = torch.device(device)
-        if device == self.srgb8.device:
+        if device == self.views.viewmats.device:
             return self
 
         def moved(value: Tensor | None) -> Tensor | None:

@@ -1,5 +1,6 @@
 """The trained denoiser on the pictures of one capture: for single pictures, and for the methods that use it."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 from torch import Tensor
@@ -9,14 +10,13 @@ from novags.methods.denoised.estimate import estimate_all
 from novags.methods.denoised.measured import MeasuredPictures
 from novags.methods.denoised.recorrupted import adapt
 from novags.methods.denoised.weights import load_weights
-from novags.methods.problem import gathered
 from novags.methods.reconstruction import Progress
 
 
 def denoised(
     pictures: MeasuredPictures, config: DenoiseConfig, *, seed: int, progress: Progress | None = None, more: int = 0
-) -> Tensor:
-    """The pictures without noise, in linear light [C, H, W, 3], clipped and in the unit of `MeasuredPictures.linear`.
+) -> Iterator[Tensor]:
+    """The pictures without noise, one by one, in linear light [H, W, 3], as `MeasuredPictures.linear` gives it.
 
     Args:
         pictures: The measurements.
@@ -35,5 +35,4 @@ def denoised(
             return adapted.estimate_all(replace(pictures, electrons=view), turns=config.turns)
         return estimate_all(network, view, pictures.mask, pictures.read_variance, turns=config.turns)
 
-    views = (pictures.linear(estimated(view))[0] for view in pictures.electrons.split(1))
-    return gathered(views, pictures.electrons.movedim(1, -1))
+    return (pictures.linear(estimated(view))[0] for view in pictures.electrons.split(1))

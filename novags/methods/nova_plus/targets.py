@@ -1,6 +1,6 @@
 """Targets of the training views in stage 2: estimates of their light from different evidence."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 import torch
@@ -44,7 +44,7 @@ def denoised_light(
     *,
     seed: int,
     progress: Progress | None = None,
-) -> Tensor:
+) -> Iterator[Tensor]:
     """The measurements through the trained denoiser, which knows other pictures and sees each view by itself.
 
     Args:
@@ -55,7 +55,7 @@ def denoised_light(
         progress: As for `denoised`.
 
     Returns:
-        Light [C, H, W, 3] of all channels, not clipped.
+        Light [H, W, 3] of all channels, not clipped, view by view.
 
     Raises:
         LacksInput: For data whose noise is shared, and for data without noise.

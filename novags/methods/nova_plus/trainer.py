@@ -130,34 +130,41 @@ class _Work:
         the right colours from the wrong depth, and no loss would pull them out of it.
         """
         give_back()
-        guide = gathered(self._mean_tones(firsts), self.data.light)
-        h = self.config.bandwidth
-        if h is None:
-            h, tried = choose_bandwidth(guide, self.data, self.curve)
-            self.found |= {"bandwidths": tried} if tried else {}
-        self.found["bandwidth"] = h
-        guide = non_local_means(guide, GUIDE_BANDWIDTH * h)
-        targets = self.targets(guide, h)
+        h = self._bandwidth(firsts)
+        targets = self.targets(non_local_means(self._guide(firsts), GUIDE_BANDWIDTH * h), h)
         seconds = []
         for seed in range(self.config.seeds):
             config = self._config("structure", seed)
             seconds.append(self._fit("structure", seed, self._first(), targets.__getitem__, config).gaussians)
-        guide = gathered(self._mean_tones(firsts), guide)  # rendered again: pictures of all views are large
+        guide = self._guide(firsts)
         weights = self.weights(non_local_means(guide, SMOOTH))
         worse = self._worse("structure", self._mean_tones(seconds), guide, weights)
         return (firsts, None) if worse else (seconds, targets)
 
+    def _guide(self, firsts: list[Gaussians]) -> Tensor:
+        """Tones of the training views [C, H, W, 3]; rendered where they are wanted, as they take much memory."""
+        return gathered(self._mean_tones(firsts), self.data.light)
+
+    def _bandwidth(self, firsts: list[Gaussians]) -> float:
+        h = self.config.bandwidth
+        if h is None:
+            h, tried = choose_bandwidth(self._guide(firsts), self.data, self.curve)
+            self.found |= {"bandwidths": tried} if tried else {}
+        self.found["bandwidth"] = h
+        return h
+
     def targets(self, guide: Tensor, h: float) -> Tensor:
         """Tones [C, H, W, 3] that stage 2 fits."""
-        clean = self.denoised(self.curve.light(view) for view in guide)
         light = guided_light(guide, self.data, self.curve, h, self.config.averaged_share)
+        expected = (self.curve.light(view) for view in guide)
+        del guide  # its memory is wanted once `expected` is used up
+        clean = self.denoised(expected)
         self.found["denoised"] = clean is not None
-        for view, seen in enumerate(light):
-            mixed = seen if clean is None else seen + self.config.denoised_share * (clean[view] - seen)
-            seen.copy_(self.curve.tone(mixed))
+        for seen, other in zip(light, light if clean is None else clean, strict=True):
+            seen.copy_(self.curve.tone(seen + self.config.denoised_share * (other - seen)))
         return light
 
-    def denoised(self, expected: Iterable[Tensor]) -> Tensor | None:
+    def denoised(self, expected: Iterable[Tensor]) -> Iterator[Tensor] | None:
         """The light of the denoised data; None if denoising is off, or the data have no independent noise."""
         before = self.done
         self.done += parts(self.config)["denoiser"]

@@ -184,7 +184,7 @@ def test_single_pictures_are_denoised_with_the_seed_and_all_turns_that_are_asked
         return SimpleNamespace(estimate_all=lambda pictures, turns: asked.append(turns) or pictures.electrons)
 
     monkeypatch.setattr(denoiser, "adapt", adapted)
-    found = denoiser.denoised(pictures, DenoiseConfig(adapt=AdaptConfig(), turns=3), seed=7)
+    found = torch.stack(list(denoiser.denoised(pictures, DenoiseConfig(adapt=AdaptConfig(), turns=3), seed=7)))
     assert asked == [7, 3]
     torch.testing.assert_close(found, pictures.linear(pictures.electrons))
 

@@ -261,7 +261,7 @@ def test_stages_follow_one_another_with_rates_and_seeds_of_their_own(
     h, _ = choose_bandwidth(guide, data, curve)
     guide = non_local_means(guide, trainer.GUIDE_BANDWIDTH * h)
     assert CONFIG.denoise is not None
-    clean = denoised_light(data, curve.light(guide), CONFIG.denoise, seed=7)
+    clean = torch.stack(list(denoised_light(data, curve.light(guide), CONFIG.denoise, seed=7)))
     want = curve.tone(2 / 3 * guided_light(guide, data, curve, h, 0.5) + 1 / 3 * clean)
     torch.testing.assert_close(calls[2][1], want, rtol=1e-4, atol=1e-5)
     shown = enhanced_light(inputs, curve.light(calls[2][1]), CONFIG.enhance, CONFIG.pictures)
