@@ -35,3 +35,9 @@ def settle() -> None:
         for name, number, size in KEPT:
             if f"MALLOC_{name}_THRESHOLD_" not in os.environ:  # else the user's own choice holds
                 mallopt(number, size)
+
+
+def give_back() -> None:
+    """Return freed memory that `settle` keeps to the system, before other arrays are wanted or a peak is measured."""
+    with suppress(AttributeError, OSError, TypeError):  # another C library
+        ctypes.CDLL(None).malloc_trim(0)

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from novags.methods.inputs import LacksInput
 from novags.methods.noise import Noise, Variance
-from novags.methods.problem import RawPictures, Start
+from novags.methods.problem import Problem, RawPictures, Start, gathered
 from sensor_model.isp import srgb_to_linear
 from sensor_model.mosaicking import channel_index
 from sensor_model.noise import Bend, NoiseCurve
@@ -79,18 +79,31 @@ def measured_light(
     return MeasuredLight(light=linear16 - zero, noise=Variance(curve), white=white, matrix=None, shared=shared)
 
 
+def problem_light(problem: Problem, noise: Noise, shared: tuple[str, ...]) -> MeasuredLight:
+    """`measured_light` of a problem, whose 16-bit pictures are not read where raw frames do."""
+    raw = problem.raw
+    if raw is None or raw.balance is None or noise.raw is None:
+        return measured_light(noise, raw, problem.linear16, shared)
+    raw = replace(raw, dn=raw.dn)  # read once
+    same = raw.dn.shape[:3] == (len(problem.views), problem.views.height, problem.views.width)
+    return measured_light(noise, raw, None if same else problem.linear16, shared)
+
+
 def _of_raw(raw: RawPictures, curve: NoiseCurve) -> tuple[Tensor, NoiseCurve, Tensor]:
     """Light [C, H, W, 3] of raw frames, nan in the channels that a pixel's filter hides, its noise, and its zero [3]
     as light over the black level of the files.
     """
     assert raw.balance is not None
     unit = [(raw.white - raw.black) / factor for factor in raw.balance]  # DN of light 1
-    dn = raw.dn if raw.dn.ndim == 4 else raw.dn[..., None].expand(*raw.dn.shape, 3)
-    light = (dn - dn.new_tensor(curve.black)) / dn.new_tensor(unit)
+    dn = raw.dn
+    dn = dn if dn.ndim == 4 else dn[..., None].expand(*dn.shape, 3)
+    lights = ((view - dn.new_tensor(curve.black)) / dn.new_tensor(unit) for view in dn)
     if raw.cfa is not None:
         height, width = dn.shape[1:3]
         index = torch.from_numpy(channel_index((height, width), raw.cfa)).long().to(dn.device)
-        light = torch.where(torch.nn.functional.one_hot(index, 3).bool(), light, torch.nan)
+        seen = torch.nn.functional.one_hot(index, 3).bool()
+        lights = (torch.where(seen, light, torch.nan) for light in lights)
+    light = gathered(lights, dn.new_empty(dn.shape))
     zero = (dn.new_tensor(curve.black) - raw.black) / dn.new_tensor(unit)
     return light, _scaled(curve, unit), zero
 

@@ -6,7 +6,8 @@ from typing import Any, TypeVar
 
 Result = TypeVar("Result")
 
-LIMIT = 600_000_000  # bytes; beyond it the least recently used results are dropped and made again
+LIMIT = 100_000_000  # bytes; beyond it the least recently used results are dropped and made again
+SMALL = 1e-4  # of the limit: a result that is not worth dropping
 
 
 class Memo:
@@ -25,9 +26,12 @@ class Memo:
         made = make()
         self.kept[key] = made, (size := bytes_of(made))
         self.size += size
-        while self.size > self.limit and len(self.kept) > 1:
-            _, (_, dropped) = self.kept.popitem(last=False)
-            self.size -= dropped
+        if self.size > self.limit:
+            large = [other for other, (_, size) in self.kept.items() if size > SMALL * self.limit]
+            for other in large[:-1]:
+                self.size -= self.kept.pop(other)[1]
+                if self.size <= self.limit:
+                    break
         return made
 
 

@@ -1,6 +1,6 @@
 """The input of a method: the training views of one capture, as arrays. Methods know neither folders nor scenes."""
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Generic, Protocol, TypeVar, get_args
 
@@ -18,10 +18,10 @@ from sensor_model.params import Cfa
 Result = TypeVar("Result")
 
 
-class AtFirstUse(Generic[Result]):
-    """A field of a dataclass that may be given as a function: it is called when the field is first read.
+class WhenUsed(Generic[Result]):
+    """A field of a dataclass that may be given as a function: it is called each time the field is read.
 
-    Fifty views of 1 Mpx are 600 MB, and most methods look at one kind of pictures alone.
+    Fifty views of 1 Mpx are 600 MB: most methods look at one kind of pictures alone, and keep what they make of them.
     """
 
     def __init__(self, *default: Result) -> None:
@@ -36,9 +36,7 @@ class AtFirstUse(Generic[Result]):
                 raise AttributeError(self.key)
             return self.default[0]
         value = vars(instance)[self.key]
-        if callable(value):
-            value = vars(instance)[self.key] = value()
-        found: Result = value
+        found: Result = value() if callable(value) else value
         return found
 
     def __set__(self, instance: object, value: Result | Callable[[], Result]) -> None:
@@ -70,7 +68,7 @@ class RawPictures:
 
     Attributes:
         dn: Digital numbers, float32, [C, H, W] behind a colour filter array or [C, H, W, 3] of three chips. May be
-            given as a function (`AtFirstUse`).
+            given as a function (`WhenUsed`).
         cfa: Colour filter array ("RGGB", ...); None for three chips.
         black: DN without light.
         white: DN of saturation.
@@ -79,7 +77,7 @@ class RawPictures:
         matrix: [3, 3] from white-balanced camera RGB to linear sRGB; None: the identity.
     """
 
-    dn: AtFirstUse[Tensor] = AtFirstUse()
+    dn: WhenUsed[Tensor] = WhenUsed()
     cfa: Cfa | None
     black: float
     white: float
@@ -114,9 +112,9 @@ class Problem:
         views: Training cameras (C of them) as the camera source gave them; they may be wrong.
         start: Initial points.
         seed: Of every random choice.
-        srgb8: The 8-bit pictures, sRGB-encoded, float32 [C, H, W, 3] in 0..1.
+        srgb8: The 8-bit pictures, sRGB-encoded, float32 [C, H, W, 3] in 0..1. May be given as a function (`WhenUsed`).
         linear16: The 16-bit pictures, linear RGB, float32 [C, H, W, 3], 0 = black, 1 = white, not clipped at black;
-            None without them. May be given as a function (`AtFirstUse`).
+            None without them. May be given as a function (`WhenUsed`).
         raw: The raw frames, or None.
         noise: Variance of each datum as a function of its mean: from the camera where it is known, else estimated from
             the pictures (`noise_estimate.noise_of` chooses); None if neither is possible.
@@ -139,8 +137,8 @@ class Problem:
     views: Views
     start: Start
     seed: int
-    srgb8: Tensor
-    linear16: AtFirstUse[Tensor | None] = AtFirstUse(None)
+    srgb8: WhenUsed[Tensor] = WhenUsed()
+    linear16: WhenUsed[Tensor | None] = WhenUsed(None)
     raw: RawPictures | None = None
     noise: Noise | None = None
     channels_share: tuple[str, ...] = ()
@@ -156,7 +154,7 @@ class Problem:
     def __post_init__(self) -> None:
         want = (len(self.views), self.views.height, self.views.width, 3)
         for name in ("srgb8", "linear16", "clean", "clean_demosaiced"):
-            value = vars(self)[f"_{name}" if name == "linear16" else name]
+            value = vars(self).get(f"_{name}", vars(self).get(name))  # where it is a function: not called
             if isinstance(value, Tensor) and value.shape != want:
                 raise ValueError(f"{name} must be [C, H, W, 3] = {list(want)} like the views, got {list(value.shape)}")
         if not self.names:
@@ -175,10 +173,10 @@ class Problem:
             raise ValueError(f"pictures must be one of {', '.join(get_args(Pictures))}, got {pictures!r}")
         if pictures == "8bit":
             return self.srgb8
-        if self.linear16 is None:
+        linear = self.linear16
+        if linear is None:
             raise LacksInput("pictures = 16bit needs the 16-bit linear pictures, and this capture has none: use 8bit")
-        linear = self.linear16.cpu().numpy()
-        return torch.from_numpy(encode(linear)).to(self.linear16)
+        return gathered((torch.from_numpy(encode(view.cpu().numpy())) for view in linear), linear)
 
     def once(self, key: Hashable, make: Callable[[], Result]) -> Result:
         """The result of `make`, computed once for all problems that share their results."""
@@ -187,7 +185,7 @@ class Problem:
     def to(self, device: torch.device | str) -> "Problem":
         """The same problem with its pictures and cameras on another device, and no shared results yet."""
         device = torch.device(device)
-        if device == self.srgb8.device:
+        if device == self.views.viewmats.device:
             return self
 
         def moved(value: Tensor | None) -> Tensor | None:
@@ -214,3 +212,11 @@ def stacked(read: Callable[[int], np.ndarray], indices: Sequence[int]) -> Tensor
     for k, i in enumerate(indices[1:], 1):
         images[k] = read(i)
     return torch.from_numpy(images)
+
+
+def gathered(views: Iterable[Tensor], like: Tensor) -> Tensor:
+    """Images [h, w, ...], one for each view of `like`, as a tensor of its shape, type and device; one by one."""
+    found = torch.empty_like(like, memory_format=torch.contiguous_format)
+    for place, view in zip(found, views, strict=True):
+        place.copy_(view)
+    return found

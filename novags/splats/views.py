@@ -1,5 +1,6 @@
 """A set of pinhole cameras with one image size."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import torch
@@ -37,6 +38,12 @@ class Views:
 
     def __len__(self) -> int:
         return len(self.viewmats)
+
+    def each(self) -> Iterator["Views"]:
+        """Its cameras, one by one, each as a set."""
+        for view in range(len(self)):
+            one = slice(view, view + 1)
+            yield Views(self.viewmats[one], self.Ks[one], self.width, self.height)
 
     @property
     def centers(self) -> Tensor:

@@ -12,7 +12,7 @@ from novags.methods.averaging.scene import LEAST, AveragedScene
 from novags.methods.averaging.surface import Array, SurfaceCamera
 from novags.methods.averaging.warp import Rules
 from novags.methods.enhancers import enhancement_record
-from novags.methods.enhancers.applying import enhanced_like, enhanced_view
+from novags.methods.enhancers.applying import enhanced_like, parameters
 from novags.methods.inputs import LacksInput
 from novags.methods.noise_estimate import noise_of
 from novags.methods.problem import Problem, TrueSurface
@@ -41,13 +41,11 @@ def train(
     started = time.perf_counter()
     exposures, variances = _exposures(problem, config)
     assert problem.surface is not None
-    known = cameras_of(problem.surface, config.tolerance)
+    known, pictures = cameras_of(problem.surface, config.tolerance), problem.encoded(config.pictures)
 
     def enhance(dark: Tensor, view: int) -> Tensor:
-        like = problem.encoded(config.pictures)[view]
-        _, params = enhanced_view(
-            problem.shared, problem.names[view], like, config.enhance, config.pictures, problem.noise
-        )
+        like = pictures[view]
+        params = parameters(problem.shared, problem.names[view], like, config.enhance, config.pictures, problem.noise)
         return enhanced_like(dark.to(like.device), config.enhance, params).cpu()
 
     scene = AveragedScene(
@@ -76,13 +74,14 @@ def _exposures(problem: Problem, config: AveragingConfig) -> tuple[Array, Array]
 
     The variance is that at the true mean: at the noisy value itself, bright outliers would lose weight.
     """
-    if problem.clean is None or problem.surface is None or problem.linear16 is None:
+    linear16 = problem.linear16
+    if problem.clean is None or problem.surface is None or linear16 is None:
         wanted = {"the noise-free exposures": problem.clean, "the true surface": problem.surface,
-                  "the linear 16-bit pictures": problem.linear16}  # fmt: skip
+                  "the linear 16-bit pictures": linear16}  # fmt: skip
         missing = ", ".join(name for name, value in wanted.items() if value is None)
         raise LacksInput(f"averaging over views by truth needs {missing}, and this capture has none")
     clean = np.asarray(srgb_to_linear(problem.clean.cpu().double().numpy()), np.float64)
-    noisy = problem.linear16.cpu()
+    noisy = linear16.cpu()
     variances = noise_of(problem).linear16(problem.clean.new_tensor(clean).cpu().double()).numpy()
     # Without the floor a camera without noise would divide by zero.
     variances = np.maximum(variances, LEAST * max(float(variances.max()), LEAST))

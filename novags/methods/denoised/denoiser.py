@@ -1,5 +1,8 @@
 """The trained denoiser on the pictures of one capture: for single pictures, and for the methods that use it."""
 
+from collections.abc import Iterator
+from dataclasses import replace
+
 from torch import Tensor
 
 from novags.methods.denoised.config import DenoiseConfig
@@ -12,8 +15,8 @@ from novags.methods.reconstruction import Progress
 
 def denoised(
     pictures: MeasuredPictures, config: DenoiseConfig, *, seed: int, progress: Progress | None = None, more: int = 0
-) -> Tensor:
-    """The pictures without noise, in linear light [C, H, W, 3], clipped and in the unit of `MeasuredPictures.linear`.
+) -> Iterator[Tensor]:
+    """The pictures without noise, one by one, in linear light [H, W, 3], as `MeasuredPictures.linear` gives it.
 
     Args:
         pictures: The measurements.
@@ -23,8 +26,13 @@ def denoised(
         more: As for `recorrupted.adapt`.
     """
     network = load_weights().to(pictures.electrons.device)
-    if config.adapt is not None:
-        adapted = adapt(network, pictures, config.adapt, seed=seed, progress=progress, more=more)
-        return pictures.linear(adapted.estimate_all(pictures, turns=config.turns))
-    electrons = estimate_all(network, pictures.electrons, pictures.mask, pictures.read_variance, turns=config.turns)
-    return pictures.linear(electrons)
+    adapted = None if config.adapt is None else adapt(
+        network, pictures, config.adapt, seed=seed, progress=progress, more=more
+    )  # fmt: skip
+
+    def estimated(view: Tensor) -> Tensor:
+        if adapted is not None:
+            return adapted.estimate_all(replace(pictures, electrons=view), turns=config.turns)
+        return estimate_all(network, view, pictures.mask, pictures.read_variance, turns=config.turns)
+
+    return (pictures.linear(estimated(view))[0] for view in pictures.electrons.split(1))

@@ -41,13 +41,13 @@ def estimate_all(network: Network, electrons: Tensor, mask: Tensor, read_varianc
         [C, 3, H, W].
     """
     stabilised = Anscombe(read_variance[None, :, None, None])
-    found = []
+    found = torch.empty_like(electrons)
     with torch.no_grad():
-        for picture in electrons.split(1):
+        for place, picture in zip(found.split(1), electrons.split(1), strict=True):
             total = torch.zeros_like(picture)
             for turn in range(turns):
                 seen, marks = turned(picture, turn), turned(mask, turn)
                 values = network(stabilised(seen), marks.contiguous(), read_variance[None])
                 total += turned_back(values, turn)
-            found.append(stabilised.inverse(total / turns))
-    return torch.cat(found)
+            place.copy_(stabilised.inverse(total / turns))
+    return found

@@ -1,14 +1,15 @@
 """The measurements of a capture, in electrons: the data that a denoiser works on, from any camera."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 
 import torch
 from torch import Tensor
 
 from novags.methods.inputs import LacksInput
-from novags.methods.light import MeasuredLight, measured_light
+from novags.methods.light import MeasuredLight, measured_light, problem_light
 from novags.methods.noise import Noise, Variance
-from novags.methods.problem import Problem, RawPictures
+from novags.methods.problem import Problem, RawPictures, gathered
 
 # Data whose noise does not grow with the signal have no electrons. They are taken as so many that the transform is
 # straight over the whole range: the variance of this many electrons is the read variance.
@@ -65,23 +66,32 @@ def measured(problem: Problem) -> MeasuredPictures:
     Raises:
         LacksInput: If the data have no noise, their noise is unknown, or neighbouring data share it.
     """
-    return of_capture(problem.noise, problem.raw, problem.linear16, problem.channels_share + problem.pixels_share)
+    noise = _known(problem.noise)
+    return in_electrons(problem_light(problem, noise, problem.channels_share + problem.pixels_share))
 
 
 def of_capture(
     noise: Noise | None, raw: RawPictures | None, linear16: Tensor | None, shared: tuple[str, ...]
 ) -> MeasuredPictures:
     """The data of a capture in electrons, from the fields of a `Problem`; see `measured`."""
+    return in_electrons(measured_light(_known(noise), raw, linear16, shared))
+
+
+def _known(noise: Noise | None) -> Noise:
     if noise is None:
         raise LacksInput(
             "denoising needs the noise of the data, and of this capture it is not known: name its camera, or take a "
             "method that works on the pictures alone"
         )
-    return in_electrons(measured_light(noise, raw, linear16, shared))
+    return noise
 
 
-def in_electrons(data: MeasuredLight) -> MeasuredPictures:
+def in_electrons(data: MeasuredLight, light: Iterable[Tensor] | None = None) -> MeasuredPictures:
     """Measurements in electrons.
+
+    Args:
+        data: The measurements.
+        light: Pictures [H, W, 3], one by one, in place of theirs.
 
     Raises:
         LacksInput: For noise that neighbouring data share, and for data without noise.
@@ -99,6 +109,8 @@ def in_electrons(data: MeasuredLight) -> MeasuredPictures:
             f"{tuple(curve.slope)}: data without noise need no denoiser"
         )
     unit = torch.maximum(slope, (offset / STRAIGHT).sqrt())
-    electrons = (like / unit).nan_to_num(0.0).movedim(-1, 1).contiguous()
+    count, height, width, channels = like.shape
+    planes = ((view / unit).nan_to_num(0.0).movedim(-1, 0) for view in (like if light is None else light))
+    electrons = gathered(planes, like.new_empty(count, channels, height, width))
     mask = data.measured[:1].movedim(-1, 1).to(like)
     return MeasuredPictures(electrons, mask, data.noise, unit, data.matrix)

@@ -57,8 +57,6 @@ class Adaptation:
     def __init__(self, network: Network, pictures: MeasuredPictures, config: AdaptConfig, seed: int) -> None:
         self.network, self.pictures, self.config = network, pictures, config
         self.first = estimate_all(network, pictures.electrons, pictures.mask, pictures.read_variance, turns=1)
-        # Floor: where a camera counts nothing and reads without noise, a weight of 1 / 0.
-        self.variance = pictures.variance(self.first).clamp_min(LEAST_VARIANCE)
         self.flags = Flags.on(self.first.device)
         self.generator = torch.Generator(self.first.device).manual_seed(seed)
         # Of crops: their places are the host's to know. On a CPU one stream is for everything.
@@ -68,7 +66,8 @@ class Adaptation:
 
     def loss(self) -> Tensor:
         """Squared distance of the estimates for y1 from y2, in units of the noise of y2; see above for gaps in y2."""
-        electrons, variance, held, mask = self._crops()
+        electrons, held, mask = self._crops()
+        variance = self.variance(held)
         a = self.config.strength
         first, second = recorrupted(electrons, variance.sqrt(), a, self.generator)
         more = 1 + a**2
@@ -76,6 +75,11 @@ class Adaptation:
         found = more * estimate(self.network, first / more, mask, self.pictures.read_variance / more)
         wanted = torch.where(mask > 0, second, held)
         return ((found - wanted).square() / (variance * (1 + 1 / a**2))).sum() / mask.sum()
+
+    def variance(self, first: Tensor) -> Tensor:
+        """Of the data at these first estimates [..., 3, h, w]."""
+        # Floor: where a camera counts nothing and reads without noise, a weight of 1 / 0.
+        return self.pictures.variance(first).clamp_min(LEAST_VARIANCE)
 
     def advance(self) -> Tensor:
         """One step; returns the loss, a scalar, about 1 plus the error of the estimate.
@@ -107,14 +111,14 @@ class Adaptation:
         measured = measured[:: max(1, len(views) * len(measured) // MOST)]
         found = []
         for view in views:
-            variance = self.variance[view]
+            variance = self.variance(self.first[view])
             first, second = recorrupted(p.electrons[view], variance.sqrt(), a, self.generator)
             both = [_of_first(network, first[None], p, a)[0] for network in (before, self.network)]
             found.append([x.flatten()[measured] for x in (*both, second, variance)])
         return best_blend(*(torch.cat(each) for each in zip(*found, strict=True)))
 
     def _crops(self) -> list[Tensor]:
-        """Random crops of data, variance, first estimate and mask, flipped and turned alike, [batch, 3, crop, crop]."""
+        """Random crops of data, first estimate and mask, flipped and turned alike, [batch, 3, crop, crop]."""
         data, mask = self.pictures.electrons, self.pictures.mask
         count, _, height, width = data.shape
         side = min(self.config.crop, height, width)
@@ -123,7 +127,7 @@ class Adaptation:
             view, turn = self._integer(count), self._integer(8)
             top, left = self._integer(height - side + 1), self._integer(width - side + 1)
             window = (..., slice(top, top + side), slice(left, left + side))
-            cut = [x[window] for x in (data[view], self.variance[view], self.first[view], mask[0])]
+            cut = [x[window] for x in (data[view], self.first[view], mask[0])]
             parts.append([turned(x[None], turn) for x in cut])
         return [torch.cat(each) for each in zip(*parts, strict=True)]
 

@@ -20,7 +20,7 @@ from novags.methods.enhanced.gaussian_fit import fit_enhanced
 from novags.methods.enhancers.applying import enhanced, enhanced_light
 from novags.methods.enhancers.choice import Enhancement
 from novags.methods.inputs import Pictures
-from novags.methods.problem import Problem
+from novags.methods.problem import Problem, gathered
 from novags.methods.reconstruction import Progress, Reconstruction
 from novags.splats.files.tensors import digest, read, write_tensors
 from sensor_model.files.door import read_bytes
@@ -51,7 +51,7 @@ def train(
     adapting = parts(config)["denoiser"]
 
     def targets(problem: Problem, enhancer: Enhancement, pictures: Pictures) -> Tensor:
-        return enhanced_light(problem, linear, enhancer, pictures)
+        return gathered(enhanced_light(problem, linear, enhancer, pictures), linear)
 
     def report(done: int, total: int, entry: dict[str, float]) -> None:
         if progress is not None:
@@ -73,6 +73,7 @@ def _kept(
     """The denoised pictures, linear [C, H, W, 3], and the seconds that they took an interrupted run; 0 if made now."""
     started = time.perf_counter()
     pictures = measured(problem)
+    like = pictures.electrons.movedim(1, -1)
     path = None if checkpoint is None else checkpoint.with_name(f"{checkpoint.stem}.denoiser.safetensors")
     identity = _identity(pictures, config.denoise, problem.seed)
     if path is not None and path.exists():
@@ -81,11 +82,12 @@ def _kept(
         seconds = float(tensors.get("seconds", torch.tensor(torch.nan)))
         if of.dtype != identity.dtype or not torch.equal(of, identity):
             raise ValueError(f"{path} belongs to a run of other pictures or settings: delete it or restore them")
-        whole = kept is not None and kept.shape == problem.srgb8.shape and bool(torch.isfinite(kept).all())
+        whole = kept is not None and kept.shape == like.shape and bool(torch.isfinite(kept).all())
         if kept is None or not whole or not 0 <= seconds < math.inf:
             raise ValueError(f"{path} is damaged: delete it, the run then starts over")
-        return kept.to(problem.srgb8), seconds
-    made = denoised(pictures, config.denoise, seed=problem.seed, progress=progress, more=config.fit.iterations)
+        return kept.to(like), seconds
+    views = denoised(pictures, config.denoise, seed=problem.seed, progress=progress, more=config.fit.iterations)
+    made = gathered(views, like)
     if path is not None:
         took = torch.tensor(time.perf_counter() - started, dtype=torch.float64)
         write_tensors(path, {"linear": made.contiguous(), "run": identity, "seconds": took})

@@ -7,7 +7,6 @@ same pictures, cameras, loss, iterations and number of Gaussians, so that the en
 import time
 from pathlib import Path
 
-import torch
 from torch import Tensor, nn
 
 from novags.methods.enhanced.by_enhancer import learning_steps, weights_of
@@ -20,7 +19,7 @@ from novags.methods.enhancers.enhancer import NETWORK
 from novags.methods.enhancers.networks.kind import Kind, described
 from novags.methods.enhancers.networks.rehearsal import learned
 from novags.methods.inputs import Pictures
-from novags.methods.problem import Problem
+from novags.methods.problem import Problem, gathered
 from novags.methods.reconstruction import Progress, Reconstruction
 
 
@@ -53,7 +52,8 @@ def _with_network(
     learning = earlier + time.perf_counter() - started
 
     def through(problem: Problem, enhance: Enhancement, pictures: Pictures) -> Tensor:
-        return torch.stack([kind.picture(network, dark, enhance)[0] for dark in problem.encoded(pictures)])
+        dark = problem.encoded(pictures)
+        return gathered((kind.picture(network, view, enhance)[0] for view in dark), dark)
 
     def report(done: int, total: int, entry: dict[str, float]) -> None:
         if progress is not None:

@@ -1,6 +1,6 @@
 """Enhancers applied to the pictures of a problem and to their noise-free twins, once for all methods that ask."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import torch
@@ -41,10 +41,10 @@ def enhanced_clean(problem: Problem, config: Enhancement, pictures: Pictures, *,
     demosaiced = demosaiced and problem.clean_demosaiced is not None  # three chips: no difference
     dark, clean = problem.encoded(pictures), problem.clean_demosaiced if demosaiced else problem.clean
     assert clean is not None
-    views = zip(problem.names, dark, clean, strict=True)
-    return torch.stack(
-        [enhanced_twin(problem.shared, *view, config, pictures, problem.noise, demosaiced=demosaiced) for view in views]
-    )
+    found = torch.empty_like(clean)
+    for k, view in enumerate(zip(problem.names, dark, clean, strict=True)):
+        found[k] = enhanced_twin(problem.shared, *view, config, pictures, problem.noise, demosaiced=demosaiced)
+    return found
 
 
 def enhanced_twin(
@@ -63,7 +63,7 @@ def enhanced_twin(
         noise: Of the capture, where it is known.
         demosaiced: Whether `clean` was interpolated from a mosaic.
     """
-    _, params = enhanced_view(shared, name, dark, config, pictures, noise)
+    params = parameters(shared, name, dark, config, pictures, noise)
     key = ("enhanced clean", name, pictures, config, stamps(config), demosaiced)
     return shared.once(key, lambda: _enhance(clean, config, params)[0])
 
@@ -76,19 +76,26 @@ def enhanced_view(
     return shared.once(key, lambda: _enhance(dark, config, None, noise))
 
 
+def parameters(
+    shared: Memo, name: str, dark: Tensor, config: Enhancement, pictures: Pictures, noise: Noise | None
+) -> Any:
+    """The parameters of the enhancement of one view, kept for longer than its picture; arguments as `enhanced_view`."""
+    key = ("parameters", name, pictures, config, stamps(config))
+    return shared.once(key, lambda: enhanced_view(shared, name, dark, config, pictures, noise)[1])
+
+
 def enhanced_like(dark: Tensor, config: Enhancement, params: Any) -> Tensor:
     """A picture [H, W, 3], sRGB-encoded in 0..1, through the enhancement of another one with these parameters."""
     return _enhance(dark, config, params)[0]
 
 
-def enhanced_light(problem: Problem, light: Iterable[Tensor], config: Enhancement, pictures: Pictures) -> Tensor:
-    """Linear pictures [H, W, 3] of a problem's views, each through the enhancement that its view got, [C, H, W, 3]."""
-    found = []
+def enhanced_light(
+    problem: Problem, light: Iterable[Tensor], config: Enhancement, pictures: Pictures
+) -> Iterator[Tensor]:
+    """Linear pictures [H, W, 3] of a problem's views, one by one through the enhancement that each view got."""
     for name, dark, view in zip(problem.names, problem.encoded(pictures), light, strict=True):
-        _, params = enhanced_view(problem.shared, name, dark, config, pictures, problem.noise)
-        code = torch.from_numpy(encode(view.cpu().numpy())).to(dark)
-        found.append(enhanced_like(code, config, params))
-    return torch.stack(found)
+        params = parameters(problem.shared, name, dark, config, pictures, problem.noise)
+        yield enhanced_like(torch.from_numpy(encode(view.cpu().numpy())).to(dark), config, params)
 
 
 def _enhance(dark: Tensor, config: Enhancement, params: Any, noise: Noise | None = None) -> tuple[Tensor, Any]:

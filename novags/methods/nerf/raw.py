@@ -19,7 +19,7 @@ from torch import Tensor
 from novags.fields.training.batch import Batch
 from novags.methods.enhancers import enhancement_record
 from novags.methods.enhancers.applying import enhanced
-from novags.methods.light import MeasuredLight, brightness, measured_light, raw_loss
+from novags.methods.light import MeasuredLight, brightness, problem_light, raw_loss
 from novags.methods.nerf.fitting import fitted_scene, reconstructed, with_outputs
 from novags.methods.nerf.rows.raw_nerf import RawNerfConfig
 from novags.methods.nerf.shading import light_of
@@ -46,12 +46,12 @@ def train(
     config = dataclasses.replace(config, fit=with_outputs(config.fit, problem, static=0, viewed=3))
     shown = enhanced(problem, config.enhance, config.pictures)
     problem = problem.to("cpu")
-    data = measured_light(noise_of(problem), problem.raw, problem.linear16, problem.channels_share)
+    data = problem_light(problem, noise_of(problem), problem.channels_share)
     unit = first_unit(data)
-    light, white = data.light / unit, data.white / unit
+    white = data.white / unit
 
     def loss(batch: Batch) -> Tensor:
-        return raw_loss(light_of(batch.raw, batch.weights), batch.of(light), config.epsilon / unit, white)
+        return raw_loss(light_of(batch.raw, batch.weights), batch.of(data.light) / unit, config.epsilon / unit, white)
 
     scene, found = fitted_scene(
         problem, loss, config.fit, "light", numbers=numbers_of(data, unit), progress=progress, checkpoint=checkpoint

@@ -60,7 +60,7 @@ class Denoiser:
         self.size = enhanced.shape[1:3]
         self.cfa = cfa if config.blind_spots.packed else None  # None: pictures, not mosaics
         images = enhanced.detach()
-        self.images = images.movedim(-1, 1).contiguous() if self.cfa is None else packed(images, self.cfa)
+        self.images = images.movedim(-1, 1) if self.cfa is None else packed(images, self.cfa)  # the former: no copy
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             self.network = ResUNet(config.network, self.images.shape[1]).to(enhanced.device)
@@ -161,7 +161,7 @@ class Denoiser:
 
         Differentiable in the weights, unless it was demosaiced.
         """
-        noisy = self.images[view : view + 1]
+        noisy = self.images[view : view + 1].contiguous()
         clean = self.predict(noisy).clamp(0, 1)
         mixed = torch.lerp(clean, noisy, self.config.noisy_share)[0]
         if self.cfa is None:
@@ -180,7 +180,7 @@ class Denoiser:
         self.views = views = self._integers(count)
         tops, lefts = self._integers(height - rows + 1), self._integers(width - columns + 1)
         crops = [self.images[v, :, y : y + rows, x : x + columns] for v, y, x in zip(views, tops, lefts, strict=True)]
-        batch = torch.stack(crops)
+        batch = torch.stack(crops).contiguous()
         if self.config.augment:
             turn = int(torch.randint(8, (1,), generator=self.places))
             if self.cfa is not None:

@@ -38,27 +38,26 @@ class _PseudoClean:
 
     def __init__(self, enhanced: Tensor, denoiser: Denoiser | None, config: NovaConfig) -> None:
         self.enhanced, self.denoiser, self.config = enhanced, denoiser, config
-        self.cached: dict[int, tuple[int, Tensor]] = {}
+        self.images = enhanced if denoiser is None else torch.empty_like(enhanced)
+        self.steps: dict[int, int] = {}  # of the denoiser, when it made the image of a view
 
     def __call__(self, view: int) -> Tensor:
         """[H, W, 3] without gradient; without a denoiser the enhanced picture itself."""
-        if self.denoiser is None:
-            return self.enhanced[view]
-        step, image = self.cached.get(view, (-self.config.refresh_after, None))
-        if image is None or self.denoiser.step - step >= self.config.refresh_after:
-            with torch.no_grad():
-                image = self.denoiser.denoise(view)
-            self.cached[view] = (self.denoiser.step, image)
-        return image
+        return self._not_older(view, self.config.refresh_after)
 
     def all_now(self) -> Tensor:
         """[C, H, W, 3] by the denoiser in its present state."""
-        if self.denoiser is None:
-            return self.enhanced
-        known = {view: image for view, (step, image) in self.cached.items() if step == self.denoiser.step}
-        with torch.no_grad():
-            images = [known[i] if i in known else self.denoiser.denoise(i) for i in range(len(self.enhanced))]
-        return torch.stack(images)
+        for view in range(len(self.images)):
+            self._not_older(view, 1)
+        return self.images
+
+    def _not_older(self, view: int, age: int) -> Tensor:
+        """The image of a view, made anew if the denoiser has done so many steps since, or more."""
+        if self.denoiser is not None and (view not in self.steps or self.denoiser.step - self.steps[view] >= age):
+            with torch.no_grad():
+                self.images[view] = self.denoiser.denoise(view)
+            self.steps[view] = self.denoiser.step
+        return self.images[view]
 
     def target(self, view: int) -> Tensor:
         """[H, W, 3], with gradient into the denoiser if it takes part in L_recon."""
@@ -70,7 +69,7 @@ class _PseudoClean:
         """The images that the denoiser in its present state might not reproduce, by view and denoiser step."""
         if self.config.refresh_after == 1:
             return {}
-        return {f"clean.{view}.{step}": image for view, (step, image) in self.cached.items()}
+        return {f"clean.{view}.{step}": self.images[view] for view, step in self.steps.items()}
 
     def restore(self, tensors: dict[str, Tensor]) -> None:
         """Continue from `state`."""
@@ -79,7 +78,7 @@ class _PseudoClean:
                 view, step = map(int, name.split(".")[1:])
                 if not 0 <= view < len(self.enhanced) or image.shape != self.enhanced[view].shape:
                     raise ValueError(f"{name} does not fit any view: delete it, the run then starts over")
-                self.cached[view] = (step, image.to(self.enhanced))
+                self.images[view], self.steps[view] = image.to(self.enhanced), step
 
 
 def run_identity(problem: Problem, config: NovaConfig) -> Tensor:
@@ -111,7 +110,7 @@ class _Training:
                 enhanced, config.denoiser, total_steps=total, seed=problem.seed, cfa=cfa, flags=self.flags
             )
         self.clean = _PseudoClean(enhanced, self.denoiser, config)
-        self.noise: dict[int, tuple[Tensor, Tensor]] = {}  # view -> a pseudo-clean image and the noise map made from it
+        self.noise: dict[int, tuple[int, Tensor]] = {}  # view -> noise map, and the step that its image was made at
         self.geo: ConsistencyLoss | None = None
         if config.consistency is not None and config.consistency.weight > 0:
             noisy = config.consistency.warped == "enhanced"
@@ -138,7 +137,7 @@ class _Training:
         started = time.perf_counter() - self.seconds
         if self.denoiser is not None:
             self._train_denoiser(self.denoiser, started, progress)
-        clean = torch.stack([self.clean(i) for i in range(len(problem.views))])
+        clean = self.clean.all_now()
         sh_degree, init_scale = self.config.fit.sh_degree, self.config.init_scale
         dark = problem.encoded(self.config.pictures)
         self.start = start_gaussians(problem.start, dark, clean, sh_degree=sh_degree, init_scale=init_scale)
@@ -211,9 +210,9 @@ class _Training:
     def noise_weights(self, step: Step) -> Tensor:
         """The weights of this iteration's L_SH."""
         clean = self.clean(step.view)
-        known = self.noise.get(step.view)
-        if known is None or known[0] is not clean:
-            known = self.noise[step.view] = (clean, noise_map(self.enhanced[step.view], clean))
+        made, known = self.clean.steps[step.view], self.noise.get(step.view)
+        if known is None or known[0] != made:
+            known = self.noise[step.view] = (made, noise_map(self.enhanced[step.view], clean))
         assert self.config.sh_weight is not None
         return self.config.sh_weight * penalty_weights(step.info["means2d"][0].detach(), step.visible, known[1])
 

@@ -9,19 +9,23 @@ to them, in which the noise of a single pixel hardly shows:
 # mypy: allow-untyped-defs
 
 import os
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import TypeVar
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from novags.methods.problem import gathered
 from novags.splats.cpu.compiler import inline, kernel
 from novags.splats.cpu.vectors.simd import LANES, bits, load, select, splat, store
 from novags.splats.cpu.vectors.vector_math import exp
 
 REACH = 7  # px, half the window that is searched
 MARGIN = LANES  # columns of zeros beside every row, for its neighbours and for the last pixels of a vector
+Result = TypeVar("Result")
 ZERO, ONE = np.float32(0.0), np.float32(1.0)
 LEAST = np.float32(1e-4)  # weights below it are dropped: they hardly change an average, but cost time
 
@@ -55,36 +59,50 @@ def averages(guide: Tensor, data: Tensor, *, h: float, patch: int, own: bool = T
         patch: px, half the side of a patch.
         own: Whether a datum is part of its own average, with weight 1.
     """
+    found = list(of_views(guide, data.__getitem__, lambda view, sums: sums, h=h, patch=patch, own=own))
+    return Sums(*(torch.stack([getattr(sums, part.name) for sums in found]) for part in fields(Sums)))
+
+
+def of_views(
+    guide: Tensor, data: Callable[[int], Tensor], finish: Callable[[int, Sums], Result], *, h: float, patch: int,
+    own: bool = True,
+) -> Iterator[Result]:  # fmt: skip
+    """Sums view by view, as many at a time as there are threads: those of all views are large.
+
+    Args:
+        guide: As in `averages`.
+        data: The data [H, W, 3] of a view.
+        finish: (view, its sums [H, W, 3]) -> what is wanted of them.
+        h: As in `averages`.
+        patch: As in `averages`.
+        own: As in `averages`.
+    """
     if not h > 0:
         raise ValueError(f"h must be > 0, got {h}")
-
-    height, width = data.shape[1:3]
+    height, width = guide.shape[1:3]
     stride = _stride(width)
-    guides, known = (_planes(t.cpu().numpy()) for t in (guide, ~data.isnan()))
-    values = _planes(data.nan_to_num(0.0).cpu().numpy())
 
-    def one(view: int) -> np.ndarray:
+    def one(view: int) -> Result:
+        measured = data(view)
+        seen, known = (_planes(t.cpu().numpy()) for t in (guide[view], ~measured.isnan()))
+        values = _planes(measured.nan_to_num(0.0).cpu().numpy())
         # of itself a datum is w = 1 away
-        sums = (
-            np.stack([values[view], known[view], known[view]]) if own else np.zeros((3, values[view].size), np.float32)
-        )
-        accumulate(
-            guides[view], values[view], known[view], height, width, stride, patch, REACH, np.float32(1 / h**2), *sums
-        )
+        sums = np.stack([values, known, known]) if own else np.zeros((3, values.size), np.float32)
+        accumulate(seen, values, known, height, width, stride, patch, REACH, np.float32(1 / h**2), *sums)
         inner = sums.reshape(3, 3, height, stride)[..., MARGIN : MARGIN + width]
-        return np.ascontiguousarray(inner.transpose(0, 2, 3, 1))
+        parts = np.ascontiguousarray(inner.transpose(0, 2, 3, 1))
+        return finish(view, Sums(*(torch.from_numpy(part).to(guide.device) for part in parts)))
 
     with ThreadPoolExecutor(min(torch.get_num_threads(), os.cpu_count() or 1)) as pool:
-        found = list(pool.map(one, range(len(data))))
-    return Sums(*(torch.from_numpy(np.stack(parts)).to(data.device) for parts in zip(*found, strict=True)))
+        yield from pool.map(one, range(len(guide)))
 
 
-def _planes(pictures: np.ndarray) -> np.ndarray:
-    """[C, H, W, 3] as rows with zeros before and behind them, channel by channel, flat: [C, 3 * H * stride] float32."""
-    count, height, width, _ = pictures.shape
-    planes = np.zeros((count, 3, height, _stride(width)), np.float32)
-    planes[..., MARGIN : MARGIN + width] = pictures.transpose(0, 3, 1, 2)
-    return planes.reshape(count, -1)
+def _planes(picture: np.ndarray) -> np.ndarray:
+    """[H, W, 3] as rows with zeros before and behind them, channel by channel, flat: [3 * H * stride] float32."""
+    height, width, _ = picture.shape
+    planes = np.zeros((3, height, _stride(width)), np.float32)
+    planes[..., MARGIN : MARGIN + width] = picture.transpose(2, 0, 1)
+    return planes.reshape(-1)
 
 
 def _stride(width: int) -> int:
@@ -94,7 +112,7 @@ def _stride(width: int) -> int:
 
 def non_local_means(image: Tensor, h: float) -> Tensor:
     """Pictures [C, H, W, 3], each pixel averaged over those like it in the same picture (Buades et al. 2005)."""
-    return averages(image, image, h=h, patch=2).mean(image)
+    return gathered(of_views(image, image.__getitem__, lambda i, sums: sums.mean(image[i]), h=h, patch=2), image)
 
 
 @kernel

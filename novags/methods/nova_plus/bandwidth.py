@@ -12,7 +12,6 @@ All this holds for independent noise. Where neighbours share it, y and q do too,
 the bias: h is then a share of the noise.
 """
 
-import dataclasses
 import math
 
 from torch import Tensor
@@ -44,11 +43,14 @@ def choose_bandwidth(guide: Tensor, data: LightMeasurements, curve: ToneCurve) -
         h, and the findings of each step: "h", "bias2" and "variance", in squared tone; nothing for shared noise.
     """
     if data.shared:
-        noise = data.noise(curve.light(guide)) / curve.slope(guide).square()
-        rms = math.sqrt(float(noise[data.measured].double().mean()))
+        total, count = 0.0, 0
+        for tones, light in zip(guide, data.light, strict=True):
+            noise = (data.noise(curve.light(tones)) / curve.slope(tones).square())[~light.isnan()]
+            total, count = total + float(noise.double().sum()), count + len(noise)
+        rms = math.sqrt(total / count)
         return min(max(SHARE_OF_NOISE * rms, SMALLEST), LARGEST), []
     views = sorted({round(i * (len(guide) - 1) / (JUDGES - 1)) for i in range(JUDGES)})
-    some = dataclasses.replace(data, light=data.light[views], held=data.held[views])
+    some = data.some(views)
     found = []
     for step in range(1 + math.floor(math.log(LARGEST / SMALLEST, STEP))):
         h = SMALLEST * STEP**step

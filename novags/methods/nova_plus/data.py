@@ -1,11 +1,11 @@
 """The measurements of a problem, split into a part that fits may see and a part held out to judge them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
-from novags.methods.light import MeasuredLight, measured_light
+from novags.methods.light import MeasuredLight, problem_light
 from novags.methods.noise import Noise
 from novags.methods.problem import Problem
 
@@ -28,6 +28,14 @@ class LightMeasurements(MeasuredLight):
         """The data that fits may see, [C, H, W, 3], nan elsewhere."""
         return torch.where(self.held[..., None], torch.nan, self.light)
 
+    def fitted_of(self, view: int) -> Tensor:
+        """Those of one view, [H, W, 3]."""
+        return torch.where(self.held[view, ..., None], torch.nan, self.light[view])
+
+    def some(self, views: slice | list[int]) -> "LightMeasurements":
+        """The measurements of some views."""
+        return replace(self, light=self.light[views], held=self.held[views])
+
     @property
     def greens(self) -> Tensor:
         """All measurements of green, [n]."""
@@ -47,7 +55,7 @@ def exposures(problem: Problem, noise: Noise, held_share: float) -> LightMeasure
         LacksInput: As `measured_light` says.
     """
     shared = problem.channels_share + problem.pixels_share
-    found = measured_light(noise, problem.raw, problem.linear16, shared)
+    found = problem_light(problem, noise, shared)
     generator = torch.Generator().manual_seed(problem.seed)
     held = torch.rand(found.light.shape[:3], generator=generator) < (0.0 if found.shared else held_share)
     return LightMeasurements(**vars(found), held=held.to(found.light.device))

@@ -5,6 +5,7 @@ is given.
 """
 
 import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -32,7 +33,9 @@ class Verdict:
         return self.excess > 2 * self.deviation
 
 
-def compare(tones: Tensor, other: Tensor, data: LightMeasurements, curve: ToneCurve, weights: Tensor) -> Verdict:
+def compare(
+    tones: Iterable[Tensor], other: Tensor, data: LightMeasurements, curve: ToneCurve, weights: Tensor
+) -> Verdict:
     """The verdict of held-out data on two reconstructions of the training views.
 
     For a datum y that no fit has seen, (y - mu)**2 is v + (mu - truth)**2 on average. The difference between two
@@ -40,21 +43,24 @@ def compare(tones: Tensor, other: Tensor, data: LightMeasurements, curve: ToneCu
     a)**2 - (y - b)**2 = (b - a) (2 y - a - b).
 
     Args:
-        tones: Rendered views of the first [C, H, W, 3].
-        other: Of the second.
+        tones: Rendered views [H, W, 3] of the first.
+        other: Of the second [C, H, W, 3].
         data: The measurements.
         curve: From tones to light.
         weights: Of each datum [C, H, W, 3].
     """
-    there = data.held[..., None] & data.measured
-    first, second, datum = (values[there].double() for values in (curve.light(tones), curve.light(other), data.light))
-    slope = curve.slope((tones + other) / 2)[there].double()
-    difference = (second - first) * (2 * datum - first - second) / slope.square() * weights[there].double()
+    parts = []
+    for a, b, light, held, weight in zip(tones, other, data.light, data.held, weights, strict=True):
+        there = held[..., None] & ~light.isnan()
+        first, second, datum = (values[there].double() for values in (curve.light(a), curve.light(b), light))
+        slope = curve.slope((a + b) / 2)[there].double()
+        parts.append((second - first) * (2 * datum - first - second) / slope.square() * weight[there].double())
+    difference = torch.cat(parts)
     if len(difference) < 2:
         return Verdict(0.0, math.inf)
     return Verdict(float(difference.mean()), float(difference.std() / math.sqrt(len(difference))))
 
 
-def mean_tone(tones: list[Tensor], curve: ToneCurve) -> Tensor:
-    """The tones of the mean light of several reconstructions."""
+def mean_tone(tones: Sequence[Tensor], curve: ToneCurve) -> Tensor:
+    """The tones of the mean light of several reconstructions; of one view or of many."""
     return curve.tone(torch.stack([curve.light(each) for each in tones]).mean(0)).to(tones[0])

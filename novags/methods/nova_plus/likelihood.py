@@ -31,7 +31,9 @@ class Likelihood:
 
     def __init__(self, data: LightMeasurements, curve: ToneCurve) -> None:
         self.data, self.curve = data, curve
-        self.share = float((~data.fitted.isnan()).float().mean())  # of a picture's values that are data
+        self.share = float(
+            (data.measured & ~data.held[..., None]).float().mean()
+        )  # of a picture's values that are data
         self.camera = table(data.noise.curve, data.white)
 
     def __call__(self, step: Step, target: Tensor) -> Tensor:

@@ -1,5 +1,6 @@
 """Targets of the training views in stage 2: estimates of their light from different evidence."""
 
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 import torch
@@ -8,8 +9,9 @@ from torch import Tensor
 from novags.methods.denoised.config import DenoiseConfig
 from novags.methods.denoised.denoiser import denoised
 from novags.methods.denoised.measured import in_electrons
-from novags.methods.nova_plus.average import averages
+from novags.methods.nova_plus.average import Sums, of_views
 from novags.methods.nova_plus.data import LightMeasurements
+from novags.methods.problem import gathered
 from novags.methods.reconstruction import Progress
 from novags.methods.tone import ToneCurve
 
@@ -27,27 +29,37 @@ def guided_light(guide: Tensor, data: LightMeasurements, curve: ToneCurve, h: fl
     Returns:
         Light [C, H, W, 3].
     """
-    light = curve.light(guide)
-    return share * averages(guide, data.fitted, h=h, patch=1).mean(light) + (1 - share) * light
+
+    def mixed(view: int, sums: Sums) -> Tensor:
+        light = curve.light(guide[view])
+        return share * sums.mean(light) + (1 - share) * light
+
+    return gathered(of_views(guide, data.fitted_of, mixed, h=h, patch=1), guide)
 
 
 def denoised_light(
-    data: LightMeasurements, expected: Tensor, config: DenoiseConfig, *, seed: int, progress: Progress | None = None
-) -> Tensor:
+    data: LightMeasurements,
+    expected: Iterable[Tensor],
+    config: DenoiseConfig,
+    *,
+    seed: int,
+    progress: Progress | None = None,
+) -> Iterator[Tensor]:
     """The measurements through the trained denoiser, which knows other pictures and sees each view by itself.
 
     Args:
         data: The measurements. Held-out data are not seen.
-        expected: Light [C, H, W, 3] that takes the place of held-out data.
+        expected: Light [H, W, 3] of each view that takes the place of held-out data.
         config: How to denoise.
         seed: Of the adaptation.
         progress: As for `denoised`.
 
     Returns:
-        Light [C, H, W, 3] of all channels, not clipped.
+        Light [H, W, 3] of all channels, not clipped, view by view.
 
     Raises:
         LacksInput: For data whose noise is shared, and for data without noise.
     """
-    seen = torch.where(data.measured & data.held[..., None], expected, data.light)
-    return denoised(in_electrons(replace(data, light=seen, matrix=None)), config, seed=seed, progress=progress)
+    views = zip(data.light, data.held, expected, strict=True)
+    seen = (torch.where(~light.isnan() & held[..., None], guess, light) for light, held, guess in views)
+    return denoised(in_electrons(replace(data, matrix=None), seen), config, seed=seed, progress=progress)

@@ -3,10 +3,10 @@
 import dataclasses
 import math
 import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from novags.methods.enhanced.gaussian_fit import fit_for
@@ -25,9 +25,10 @@ from novags.methods.nova_plus.judge import compare, mean_tone
 from novags.methods.nova_plus.likelihood import Likelihood
 from novags.methods.nova_plus.merge import merged
 from novags.methods.nova_plus.targets import denoised_light, guided_light
-from novags.methods.problem import Problem
+from novags.methods.problem import Problem, gathered
 from novags.methods.reconstruction import Progress, Reconstruction
 from novags.methods.tone import ToneCurve, tone_curve
+from novags.process import give_back
 from novags.splats.gaussians import Gaussians
 from novags.splats.training.config import FitConfig, LearningRates
 from novags.splats.training.fit import FitResult, fit
@@ -80,7 +81,7 @@ def train(
         config=config,
         enhancement=enhancement_record(config.enhance, config.pictures),
         enhanced=enhanced(problem, config.enhance, config.pictures),
-        targets=None if targets is None else work.shown(targets),
+        targets=None if targets is None else gathered(work.shown(targets), targets),
         viewmats=None if config.fit.refine_cameras is None else work.views.viewmats,
         losses=work.losses,
         seconds={"fit": work.seconds, "averages": between},
@@ -112,13 +113,13 @@ class _Work:
 
     def likelihood(self, seed: int) -> Gaussians:
         """Stage 1 of one seed."""
-        fitted, loss = self.data.fitted, Likelihood(self.data, self.curve)
+        loss = Likelihood(self.data, self.curve)
         # the loss is a mean: beside a third of the data, as with a mosaic, a prior weighs three times as much
         share = float(self.data.measured.float().mean())
         config = self._config("likelihood", seed, opacity_reg=self.base.opacity_reg / share)
         if seed == 0:
             config = dataclasses.replace(config, refine_cameras=self.base.refine_cameras)
-        result = self._fit("likelihood", seed, self._first(), fitted, config, loss)
+        result = self._fit("likelihood", seed, self._first(), self.data.fitted_of, config, loss)
         self.views = dataclasses.replace(self.views, viewmats=result.viewmats)
         return result.gaussians
 
@@ -128,33 +129,42 @@ class _Work:
         It starts from the first points again: the thin, many-layered surfaces of stage 1 average noise well, but show
         the right colours from the wrong depth, and no loss would pull them out of it.
         """
-        before = [self._tones(each) for each in firsts]
-        guide = mean_tone(before, self.curve)
-        weights = self.weights(non_local_means(guide, SMOOTH))
-        h = self.config.bandwidth
-        if h is None:
-            h, tried = choose_bandwidth(guide, self.data, self.curve)
-            self.found |= {"bandwidths": tried} if tried else {}
-        self.found["bandwidth"] = h
-        targets = self.targets(non_local_means(guide, GUIDE_BANDWIDTH * h), h)
+        give_back()
+        h = self._bandwidth(firsts)
+        targets = self.targets(non_local_means(self._guide(firsts), GUIDE_BANDWIDTH * h), h)
         seconds = []
         for seed in range(self.config.seeds):
             config = self._config("structure", seed)
-            seconds.append(self._fit("structure", seed, self._first(), targets, config).gaussians)
-        after = mean_tone([self._tones(each) for each in seconds], self.curve)
-        worse = self._worse("structure", after, mean_tone(before, self.curve), weights)
+            seconds.append(self._fit("structure", seed, self._first(), targets.__getitem__, config).gaussians)
+        guide = self._guide(firsts)
+        weights = self.weights(non_local_means(guide, SMOOTH))
+        worse = self._worse("structure", self._mean_tones(seconds), guide, weights)
         return (firsts, None) if worse else (seconds, targets)
+
+    def _guide(self, firsts: list[Gaussians]) -> Tensor:
+        """Tones of the training views [C, H, W, 3]; rendered where they are wanted, as they take much memory."""
+        return gathered(self._mean_tones(firsts), self.data.light)
+
+    def _bandwidth(self, firsts: list[Gaussians]) -> float:
+        h = self.config.bandwidth
+        if h is None:
+            h, tried = choose_bandwidth(self._guide(firsts), self.data, self.curve)
+            self.found |= {"bandwidths": tried} if tried else {}
+        self.found["bandwidth"] = h
+        return h
 
     def targets(self, guide: Tensor, h: float) -> Tensor:
         """Tones [C, H, W, 3] that stage 2 fits."""
         light = guided_light(guide, self.data, self.curve, h, self.config.averaged_share)
-        clean = self.denoised(self.curve.light(guide))
-        if clean is not None:
-            light = light + self.config.denoised_share * (clean - light)
+        expected = (self.curve.light(view) for view in guide)
+        del guide  # its memory is wanted once `expected` is used up
+        clean = self.denoised(expected)
         self.found["denoised"] = clean is not None
-        return torch.as_tensor(self.curve.tone(light), dtype=torch.float32)
+        for seen, other in zip(light, light if clean is None else clean, strict=True):
+            seen.copy_(self.curve.tone(seen + self.config.denoised_share * (other - seen)))
+        return light
 
-    def denoised(self, expected: Tensor) -> Tensor | None:
+    def denoised(self, expected: Iterable[Tensor]) -> Iterator[Tensor] | None:
         """The light of the denoised data; None if denoising is off, or the data have no independent noise."""
         before = self.done
         self.done += parts(self.config)["denoiser"]
@@ -174,18 +184,18 @@ class _Work:
 
     def joined(self, sets: list[Gaussians], targets: Tensor | None) -> Gaussians:
         """All seeds as one set, trained a little further; the first seed alone, if held-out data favour that."""
-        joined, loss = merged(sets), None
-        if targets is None:
-            targets, loss = self.data.fitted, Likelihood(self.data, self.curve)
+        joined = merged(sets)
+        loss = Likelihood(self.data, self.curve) if targets is None else None
         config = self._config(
             "merged", 0, rates=_scaled(self.base.rates, 0.1), mcmc=None, sh_every=1, opacity_reg=0.0,
             cap_max=len(joined),
         )  # fmt: skip
-        joined = self._fit("merged", 0, joined, targets, config, loss).gaussians
-        first = self._tones(sets[0])
+        aim = self.data.fitted_of if targets is None else targets.__getitem__
+        joined = self._fit("merged", 0, joined, aim, config, loss).gaussians
+        first = gathered(self._tones(sets[0]), self.data.light)
         return sets[0] if self._worse("merged", self._tones(joined), first, self.weights(first)) else joined
 
-    def _worse(self, part: str, tones: Tensor, other: Tensor, weights: Tensor) -> bool:
+    def _worse(self, part: str, tones: Iterable[Tensor], other: Tensor, weights: Tensor) -> bool:
         """Whether the held-out data reject a part. If no data are held out, nothing is judged, and the part is kept."""
         verdict = compare(tones, other, self.data, self.curve, weights)
         self.found[part] = dataclasses.asdict(verdict) if math.isfinite(verdict.deviation) else None
@@ -193,10 +203,11 @@ class _Work:
 
     def weights(self, tones: Tensor) -> Tensor:
         """How strongly the enhanced pictures respond to a change in tone, squared; with mean 1."""
-        answer = ((self.shown(tones + CHANGE) - self.shown(tones - CHANGE)) / (2 * CHANGE)).square()
-        return answer / answer.mean()
+        more, less = self.shown(view + CHANGE for view in tones), self.shown(view - CHANGE for view in tones)
+        answer = gathered((((a - b) / (2 * CHANGE)).square() for a, b in zip(more, less, strict=True)), tones)
+        return answer.div_(answer.mean())
 
-    def shown(self, tones: Tensor) -> Tensor:
+    def shown(self, tones: Iterable[Tensor]) -> Iterator[Tensor]:
         """Tones of the training views as pictures, each through the enhancement of its own view."""
         matrix = self.data.matrix
         light = (self.curve.light(view) if matrix is None else self.curve.light(view) @ matrix.T for view in tones)
@@ -218,11 +229,17 @@ class _Work:
                   "refine_cameras": None, "keep_at": ()}  # fmt: skip
         return dataclasses.replace(self.base, **{**common, **changes})
 
-    def _tones(self, gaussians: Gaussians) -> Tensor:
-        return GaussianScene.of(gaussians, self.base).render(self.views)[0]
+    def _tones(self, gaussians: Gaussians) -> Iterator[Tensor]:
+        """Renders of the training views [H, W, 3], one by one."""
+        scene = GaussianScene.of(gaussians, self.base)
+        return (scene.render(view)[0][0] for view in self.views.each())
+
+    def _mean_tones(self, sets: Sequence[Gaussians]) -> Iterator[Tensor]:
+        """The tones of their mean light."""
+        return (mean_tone(each, self.curve) for each in zip(*map(self._tones, sets), strict=True))
 
     def _fit(
-        self, part: str, seed: int, start: Gaussians, targets: Tensor, config: FitConfig,
+        self, part: str, seed: int, start: Gaussians, target: Callable[[int], Tensor], config: FitConfig,
         loss: Likelihood | None = None,
     ) -> FitResult:  # fmt: skip
         path = self.checkpoint and self.checkpoint.parent / CHECKPOINTS / f"{part}-{seed}.safetensors"
@@ -231,9 +248,7 @@ class _Work:
             if self.progress is not None:
                 self.progress(self.done + done, self.total, entry)
 
-        result = fit(
-            start, self.views, lambda i: targets[i], config, photometric=loss, checkpoint=path, progress=report
-        )
+        result = fit(start, self.views, target, config, photometric=loss, checkpoint=path, progress=report)
         self.losses += [{**entry, "iteration": self.done + entry["iteration"]} for entry in result.losses]
         self.done += config.iterations
         self.seconds += result.seconds

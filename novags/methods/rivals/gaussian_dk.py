@@ -23,7 +23,7 @@ from torch import Tensor, nn
 
 from novags.methods.enhanced.gaussian_fit import fit_for, reconstructed
 from novags.methods.gaussian_scene import GaussianScene
-from novags.methods.problem import Problem
+from novags.methods.problem import Problem, gathered
 from novags.methods.reconstruction import Progress, Reconstruction
 from novags.methods.rivals.rows.gaussian_dk import GaussianDkConfig
 from novags.methods.tone import ResponseTable
@@ -95,7 +95,7 @@ def lit_exposure(response: Response, radiance: Tensor, target: float) -> float:
     """
     # Counted levels in the place of all values of all views, through the network forty times: that would take more
     # memory and time than the fit.
-    counts, edges = np.histogram(logarithm(radiance).cpu().numpy(), LEVELS)
+    counts, edges = np.histogram(gathered(map(logarithm, radiance), radiance).cpu().numpy(), LEVELS)
     logs = torch.from_numpy((edges[:-1] + edges[1:]) / 2).to(radiance)
     weights = torch.from_numpy(counts / counts.sum()).to(radiance)
     low, high = (math.log(e) for e in EXPOSURES)
@@ -138,6 +138,7 @@ def train(
     )  # fmt: skip
     scene = GaussianScene.of(result.gaussians, config.fit)
     views = dataclasses.replace(problem.views, viewmats=result.viewmats)
-    exposure = lit_exposure(response, scene.render(views)[0], config.target)
+    radiance = gathered((scene.render(view)[0][0] for view in views.each()), dark)
+    exposure = lit_exposure(response, radiance, config.target)
     shown = dataclasses.replace(scene, response=table_of(response, exposure))
     return reconstructed(result, config, shown, "lit", started, found={"exposure": exposure})

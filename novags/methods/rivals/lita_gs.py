@@ -121,8 +121,8 @@ def first(problem: Problem, dark: Tensor, config: LitaGsConfig) -> Gaussians:
 
 def structures_of(dark: Tensor) -> Tensor:
     """The structure of each dark picture [C, H, W, 3], sRGB code: [C, H, W]."""
-    light = torch.from_numpy(np.asarray(srgb_to_linear(dark.cpu().numpy()), np.float32))
-    return torch.stack([structure(picture) for picture in light]).to(dark)
+    lights = (np.asarray(srgb_to_linear(picture.cpu().numpy()), np.float32) for picture in dark)
+    return torch.stack([structure(torch.from_numpy(light)) for light in lights]).to(dark)
 
 
 def companion_of(networks: Networks, config: LitaGsConfig) -> Companion:

@@ -93,8 +93,9 @@ def chosen_gamma(scene: GaussianScene, views: Views, target: float) -> float:
     low, high = GAMMAS
     for _ in range(20):
         middle = (low + high) / 2
-        shown = dataclasses.replace(scene, gaussians=lit(scene.gaussians, middle)).render(views)[0].clamp(0, 1)
-        low, high = (middle, high) if float(shown.mean()) > target else (low, middle)
+        shown = dataclasses.replace(scene, gaussians=lit(scene.gaussians, middle))
+        means = [float(shown.render(view)[0].clamp(0, 1).mean()) for view in views.each()]
+        low, high = (middle, high) if sum(means) / len(means) > target else (low, middle)
     return (low + high) / 2
 
 

@@ -22,7 +22,7 @@ from torch import Tensor
 
 from novags.methods.enhanced.gaussian_fit import fit_for, reconstructed
 from novags.methods.gaussian_scene import GaussianScene
-from novags.methods.problem import Problem
+from novags.methods.problem import Problem, gathered
 from novags.methods.reconstruction import Progress, Reconstruction
 from novags.methods.rivals.luminance_curve import ViewCurves, equalising_curve
 from novags.methods.rivals.rows.luminance_gs import LuminanceGsConfig
@@ -121,6 +121,7 @@ def train(
         companion=companion_of(curves, config), progress=progress, checkpoint=checkpoint,
     )  # fmt: skip
     with torch.no_grad():
-        bright = torch.stack([curves.brightened(i, curves.curves(i)[0]) for i in range(len(dark))])
+        each = (curves.brightened(i, curves.curves(i)[0]).clamp(0, 1) for i in range(len(dark)))
+        bright = gathered(each, dark)
     scene = GaussianScene.of(result.gaussians, config.fit)
-    return reconstructed(result, config, scene, "lit", started, targets=bright.clamp(0, 1))
+    return reconstructed(result, config, scene, "lit", started, targets=bright)

@@ -26,7 +26,7 @@ from novags.methods.enhanced.gaussian_fit import fit_for, reconstructed
 from novags.methods.enhancers import enhancement_record
 from novags.methods.enhancers.applying import enhanced
 from novags.methods.gaussian_scene import GaussianScene
-from novags.methods.light import MeasuredLight, brightness, first_light, measured_light, raw_loss
+from novags.methods.light import MeasuredLight, brightness, first_light, problem_light, raw_loss
 from novags.methods.noise_estimate import noise_of
 from novags.methods.problem import Problem
 from novags.methods.reconstruction import Progress, Reconstruction
@@ -77,13 +77,12 @@ def train(
     """
     started = time.perf_counter()
     config = dataclasses.replace(config, fit=fit_for(problem, config.fit))
-    data = measured_light(noise_of(problem), problem.raw, problem.linear16, problem.channels_share)
+    data = problem_light(problem, noise_of(problem), problem.channels_share)
     unit = brightness(data)
     start = _start(problem, data, unit, config)
-    targets = data.light / unit
     loss = RawLoss(data.white / unit, config.epsilon / unit)
     result = fit(
-        start, problem.views, lambda i: targets[i], config.fit, photometric=loss, checkpoint=checkpoint,
+        start, problem.views, lambda i: data.light[i] / unit, config.fit, photometric=loss, checkpoint=checkpoint,
         progress=progress,
     )  # fmt: skip
     matrix = torch.eye(3) if data.matrix is None else data.matrix.cpu()

@@ -1,17 +1,16 @@
 """The origin and the cost of a result: versions, hardware, peak memory."""
 
-import ctypes
 import os
 import platform
 import resource
 import sys
 from collections.abc import Mapping
-from contextlib import suppress
 from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from novags.process import give_back
 from novags.testbed.console.cores import cores_here
 
 PACKAGES = (
@@ -84,7 +83,7 @@ class PeakMemory:
     """
 
     def __init__(self) -> None:
-        _give_back()
+        give_back()
         try:
             Path("/proc/self/clear_refs").write_text("5", encoding="ascii")  # 5: reset VmHWM only
         except OSError:
@@ -98,12 +97,6 @@ class PeakMemory:
         torch = sys.modules.get("torch")
         gpu = torch.cuda.max_memory_allocated() if torch is not None and torch.cuda.is_available() else 0
         return _high_water_mark() + int(gpu)
-
-
-def _give_back() -> None:
-    """Return freed memory to the system, so that it does not count in the next peak (`process.settle` keeps it)."""
-    with suppress(AttributeError, OSError, TypeError):  # another C library
-        ctypes.CDLL(None).malloc_trim(0)
 
 
 def _high_water_mark() -> int:

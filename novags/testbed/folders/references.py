@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from novags.methods.enhancers import recorded
-from novags.methods.enhancers.applying import enhanced_like, enhanced_twin, enhanced_view
+from novags.methods.enhancers.applying import enhanced_like, enhanced_twin, enhanced_view, parameters
 from novags.methods.problem import encode
 from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.imported import MISSING
@@ -81,7 +81,7 @@ def pictured(run: MethodOutcome, capture: Capture, rendered: Image) -> Image:
         found = []
         for i in capture.cameras.train_indices:
             dark = torch.from_numpy(capture.dark(i, pictures).copy())
-            found.append(enhanced_view(capture.memo, capture.names[i], dark, config, pictures, capture.noise)[1])
+            found.append(parameters(capture.memo, capture.names[i], dark, config, pictures, capture.noise))
         return enhancer.typical(found)
 
     params = capture.memo.once(("typical", pictures, config), typical)

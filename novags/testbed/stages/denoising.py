@@ -67,8 +67,8 @@ def denoise_views(capture: Capture, out: Path, config: DenoisePicturesConfig, co
             progress(done, total, f"loss {losses['denoiser']:.3f}")
 
         light = denoised(pictures, config.denoise, seed=config.seed, progress=step, more=len(indices))
-        for i, name in enumerate(capture.names):
-            view = light[i].cpu().numpy()
+        for i, (name, each) in enumerate(zip(capture.names, light, strict=True)):
+            view = each.cpu().numpy()
             write_png(out / LINEAR / f"{name}.png", np.round(np.clip(view, 0, 1) * 65535).astype(np.uint16))
             write_png(out / SHOWN / f"{name}.png", to_srgb8(view))
             progress(steps + i + 1, steps + len(indices), f"view {name}")

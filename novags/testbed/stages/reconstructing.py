@@ -115,7 +115,7 @@ def prepare(capture: Capture, source: Source, config: ReconstructConfig, console
         views=views_of(estimate.rig),
         start=estimate,
         seed=config.seed,
-        srgb8=stacked(capture.srgb8, indices),
+        srgb8=partial(stacked, capture.srgb8, indices),
         linear16=partial(stacked, capture.linear16, indices) if capture.holds("images16") else None,
         raw=raw_pictures(capture, indices) if capture.holds("raw") else None,
         noise=capture.noise,

@@ -64,7 +64,7 @@ def test_the_variance_of_what_is_added_is_the_known_one_at_the_estimate(monkeypa
     guess = mean + 2.5
     monkeypatch.setattr(module, "estimate_all", lambda *given, **turns: guess)
     training = Adaptation(Network(SMALL), capture(mean, 3.0, None), AdaptConfig(crop=8), seed=0)
-    torch.testing.assert_close(training.variance, guess + 3.0)
+    torch.testing.assert_close(training.variance(training.first), guess + 3.0)
 
 
 @pytest.mark.parametrize("cfa", [None, "GRBG"])
@@ -78,7 +78,7 @@ def test_the_true_mean_costs_one_and_what_an_estimate_is_off_costs_more(
     off = 0.0
     config = AdaptConfig(batch=8, crop=64, strength=0.5)
     training = Adaptation(Network(SMALL), pictures, config, seed=0)
-    training.variance = mean + 1.0
+    monkeypatch.setattr(training, "variance", lambda first: first - 1.0)  # known
     training.first = mean + 2.0
     # what the loss is to compare: an estimate in the units of the noisier copy
     monkeypatch.setattr(module, "estimate", lambda _, electrons, *rest: (levels + off).expand_as(electrons) / 1.25)
@@ -102,7 +102,7 @@ def test_the_noisier_copy_is_estimated_as_an_exposure_of_less_light(monkeypatch:
 
     mean = torch.tensor([5.0, 12.0, 30.0])[:, None, None].expand(4, 3, 64, 64)
     training = Adaptation(Network(SMALL), capture(mean, 2.0, None), AdaptConfig(batch=16, crop=64), seed=0)
-    training.variance = mean + 2.0
+    training.first = mean
     monkeypatch.setattr(module, "estimate", spy)
     training.loss()
     electrons, read = seen[0]
@@ -117,10 +117,9 @@ def test_crops_show_the_same_pixels_in_all_that_is_compared() -> None:
     places = torch.arange(3.0 * 3 * 20 * 26).reshape(3, 3, 20, 26)
     pictures = replace(capture(places, 1.0, "GRBG"), electrons=places)
     training = Adaptation(Network(SMALL), pictures, AdaptConfig(batch=60, crop=8), seed=0)
-    training.variance, training.first = 2 * places, 3 * places
-    found, variance, first, mask = training._crops()
+    training.first = 3 * places
+    found, first, mask = training._crops()
     assert found.shape == (60, 3, 8, 8)
-    assert torch.equal(variance, 2 * found)
     assert torch.equal(first, 3 * found)
     assert torch.equal(mask, pictures.mask.expand(3, -1, -1, -1).flatten()[found.long()])
     assert found[:, 0].flatten(1).div(3 * 520).floor().unique().tolist() == [0, 1, 2]  # of all views
@@ -132,7 +131,7 @@ def test_an_adapted_network_is_followed_to_where_its_error_is_least(monkeypatch:
     monkeypatch.setattr(blend, "LEVELS", 1)
     mean = torch.full((2, 3, 64, 64), 5.0)
     training = Adaptation(Network(SMALL), capture(mean, 1.0, "RGGB"), AdaptConfig(), seed=0)
-    training.variance = mean + 1.0
+    training.first = mean
     before, share = Network(SMALL), 1 / 1.25  # of the light, which the copy has the noise of
 
     def known(network: Network, electrons: torch.Tensor, *_: torch.Tensor, turns: int) -> torch.Tensor:
@@ -149,7 +148,7 @@ def test_views_from_the_first_to_the_last_say_how_far_it_is_followed(monkeypatch
     """Each by its own variance; every view is as bright as its number."""
     mean = torch.arange(1.0, 16.0)[:, None, None, None].expand(15, 3, 8, 8).contiguous()
     training = Adaptation(Network(SMALL), replace(capture(mean, 1.0, None), electrons=mean), AdaptConfig(), seed=0)
-    training.variance = 2 * mean
+    training.first = 2 * mean - 1
     asked: list[tuple[float, float]] = []
 
     def spy(data: torch.Tensor, deviation: torch.Tensor, *rest: object) -> tuple[torch.Tensor, torch.Tensor]:
@@ -185,7 +184,7 @@ def test_single_pictures_are_denoised_with_the_seed_and_all_turns_that_are_asked
         return SimpleNamespace(estimate_all=lambda pictures, turns: asked.append(turns) or pictures.electrons)
 
     monkeypatch.setattr(denoiser, "adapt", adapted)
-    found = denoiser.denoised(pictures, DenoiseConfig(adapt=AdaptConfig(), turns=3), seed=7)
+    found = torch.stack(list(denoiser.denoised(pictures, DenoiseConfig(adapt=AdaptConfig(), turns=3), seed=7)))
     assert asked == [7, 3]
     torch.testing.assert_close(found, pictures.linear(pictures.electrons))
 

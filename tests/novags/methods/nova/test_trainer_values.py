@@ -75,9 +75,12 @@ class Stage:
         monkeypatch.setattr(ConsistencyLoss, "update", lambda geo: self.log.append("confidence"))
         monkeypatch.setattr(trainer, "fit", self.fit)
         start = trainer.start_gaussians
-        monkeypatch.setattr(
-            trainer, "start_gaussians", lambda *a, **k: self.seen.update(start=(a, k)) or start(*a, **k)
-        )
+
+        def first(init, dark, images, **keywords):
+            self.seen["start"] = (init, dark, images.clone()), keywords  # the images change later
+            return start(init, dark, images, **keywords)
+
+        monkeypatch.setattr(trainer, "start_gaussians", first)
 
     def fit(self, gaussians, views, target, config, **keywords) -> FitResult:
         self.seen.update(gaussians=gaussians, views=views, target=target, config=config, **keywords)

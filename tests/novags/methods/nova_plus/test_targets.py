@@ -1,5 +1,6 @@
 """Targets of stage 2: guided averages mixed with their guide, and data through the denoiser, held-out data unseen."""
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -22,6 +23,10 @@ from sensor_model.isp import white_balance
 HEIGHT, WIDTH, VIEWS = 32, 40, 2
 PLAIN = DenoiseConfig(adapt=None, turns=1)
 CAMERAS = ["a7s2-iso6400-3chip", "a7s2-iso6400"]
+
+
+def stacked(views: Iterable[torch.Tensor]) -> torch.Tensor:
+    return torch.stack(list(views))
 
 
 def photographed(name: str, electrons: float = 20.0) -> tuple[Problem, torch.Tensor]:
@@ -55,8 +60,8 @@ def test_data_are_denoised_as_by_the_method_that_only_denoises(name: str, config
     problem, _ = photographed(name)
     assert problem.noise is not None
     data = exposures(problem, problem.noise, 0.0)
-    found = denoised_light(data, torch.zeros_like(data.light), config, seed=5)
-    torch.testing.assert_close(found, denoised(measured(problem), config, seed=5), rtol=2e-3, atol=2e-5)
+    found = stacked(denoised_light(data, torch.zeros_like(data.light), config, seed=5))
+    torch.testing.assert_close(found, stacked(denoised(measured(problem), config, seed=5)), rtol=2e-3, atol=2e-5)
 
 
 @pytest.mark.parametrize("name", CAMERAS)
@@ -64,7 +69,7 @@ def test_denoised_light_is_the_true_one_with_less_noise_in_all_channels(name: st
     problem, truth = photographed(name)
     assert problem.noise is not None
     data = exposures(problem, problem.noise, 0.05)
-    found = denoised_light(data, truth, PLAIN, seed=0)
+    found = stacked(denoised_light(data, truth, PLAIN, seed=0))
     noisy = data.noise(truth)  # variance of a datum
     assert float(((found - truth).square() / noisy).mean()) < (0.1 if name.endswith("3chip") else 0.2)
     assert float(found.mean() / truth.mean()) == pytest.approx(1, abs=0.02)
@@ -77,11 +82,11 @@ def test_the_denoiser_sees_neither_what_is_held_out_nor_what_was_not_measured(na
     data = exposures(problem, problem.noise, 0.1)
     other = torch.where(data.held[..., None], 9.0 * data.light + 1.0, data.light)
     config = DenoiseConfig(adapt=AdaptConfig(steps=1, batch=1, crop=16), turns=1)
-    found = [denoised_light(each, truth, config, seed=1) for each in (data, replace(data, light=other))]
+    found = [stacked(denoised_light(each, truth, config, seed=1)) for each in (data, replace(data, light=other))]
     assert torch.equal(*found)
     expected = torch.where(data.held[..., None], truth, 7.0)  # where data were measured and are fitted, it is not asked
-    assert torch.equal(denoised_light(data, expected, config, seed=1), found[0])
-    assert not torch.equal(denoised_light(data, 2 * truth, config, seed=1), found[0])
+    assert torch.equal(stacked(denoised_light(data, expected, config, seed=1)), found[0])
+    assert not torch.equal(stacked(denoised_light(data, 2 * truth, config, seed=1)), found[0])
 
 
 def test_guided_light_is_a_mixture_of_averages_and_guide_in_light() -> None:

@@ -112,8 +112,8 @@ def test_the_merged_set_is_what_is_judged_and_its_first_seed_the_measure(
     config = dataclasses.replace(CONFIG, stages="likelihood")
     judged: list[tuple[torch.Tensor, torch.Tensor]] = []
 
-    def spy(tones: torch.Tensor, other: torch.Tensor, *_: Any) -> Verdict:
-        judged.append((tones, other))
+    def spy(tones: Any, other: torch.Tensor, *_: Any) -> Verdict:
+        judged.append((torch.stack(list(tones)), other))
         return Verdict(0.0, 1.0)
 
     monkeypatch.setattr(trainer, "compare", spy)
@@ -261,11 +261,11 @@ def test_stages_follow_one_another_with_rates_and_seeds_of_their_own(
     h, _ = choose_bandwidth(guide, data, curve)
     guide = non_local_means(guide, trainer.GUIDE_BANDWIDTH * h)
     assert CONFIG.denoise is not None
-    clean = denoised_light(data, curve.light(guide), CONFIG.denoise, seed=7)
+    clean = torch.stack(list(denoised_light(data, curve.light(guide), CONFIG.denoise, seed=7)))
     want = curve.tone(2 / 3 * guided_light(guide, data, curve, h, 0.5) + 1 / 3 * clean)
     torch.testing.assert_close(calls[2][1], want, rtol=1e-4, atol=1e-5)
     shown = enhanced_light(inputs, curve.light(calls[2][1]), CONFIG.enhance, CONFIG.pictures)
-    torch.testing.assert_close(result.targets, shown)
+    torch.testing.assert_close(result.targets, torch.stack(list(shown)))
 
 
 def test_the_first_fit_corrects_the_cameras_for_all_others(dark: Any, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -293,7 +293,7 @@ def test_the_first_fit_corrects_the_cameras_for_all_others(dark: Any, monkeypatc
     assert [refine for _, refine, _ in used] == [refinement, None, None, None, None]
     assert all(torch.equal(viewmats, corrected) for viewmats, _, _ in used[1:])
     assert rendered
-    assert all(torch.equal(viewmats, corrected) for viewmats in rendered)
+    assert all(bool((corrected == viewmats).all(2).all(1).any()) for viewmats in rendered)
     assert result.viewmats is not None
     assert torch.equal(result.viewmats, corrected)
     assert train(inputs, CONFIG).viewmats is None
@@ -354,7 +354,7 @@ def test_judges_weigh_errors_as_the_enhanced_pictures_show_them(dark: Any, monke
     inputs, light = dark()
     given: list[torch.Tensor] = []
 
-    def spy(tones: torch.Tensor, other: torch.Tensor, data: Any, curve: Any, weights: torch.Tensor) -> Verdict:
+    def spy(tones: Any, other: torch.Tensor, data: Any, curve: Any, weights: torch.Tensor) -> Verdict:
         given.append(weights)
         return Verdict(0.0, 1.0)
 
@@ -374,7 +374,7 @@ def test_weights_are_those_of_the_smoothed_renders_that_are_judged(dark: Any, mo
     inputs, _ = dark()
     given: list[tuple[torch.Tensor, torch.Tensor]] = []
 
-    def spy(tones: torch.Tensor, other: torch.Tensor, data: Any, curve: Any, weights: torch.Tensor) -> Verdict:
+    def spy(tones: Any, other: torch.Tensor, data: Any, curve: Any, weights: torch.Tensor) -> Verdict:
         given.append((other, weights))
         return Verdict(0.0, 1.0)
 

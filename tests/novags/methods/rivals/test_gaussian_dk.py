@@ -180,7 +180,7 @@ def test_the_lit_exposure_is_looked_for_where_the_cameras_were_refined_to(
     monkeypatch.setattr(module, "fit", refined)
     monkeypatch.setattr(module.GaussianScene, "render", noted)
     module.train(given, GaussianDkConfig(fit=FitConfig(iterations=1)))
-    torch.testing.assert_close(seen, [given.views.viewmats + shift])
+    torch.testing.assert_close(torch.cat(seen), given.views.viewmats + shift)
 
 
 def test_the_response_begins_as_the_seed_of_the_problem_says(

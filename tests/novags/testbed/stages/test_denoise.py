@@ -43,7 +43,7 @@ def test_every_picture_comes_out_linear_and_as_srgb(capture: Path, tmp_path: Pat
     stages.denoise(capture, tmp_path / "out", CONFIG, QUIET)
     opened = open_capture(capture)
     pictures = of_capture(opened.noise, raw_pictures(opened, [0, 1, 2]), None, ())
-    wanted = denoised(pictures, CONFIG.denoise, seed=3).numpy()
+    wanted = [view.numpy() for view in denoised(pictures, CONFIG.denoise, seed=3)]
     for i, name in enumerate(opened.names):
         linear = cv2.imread(str(tmp_path / "out" / "linear" / f"{name}.png"), cv2.IMREAD_UNCHANGED)[..., ::-1]
         shown = cv2.imread(str(tmp_path / "out" / "srgb" / f"{name}.png"))[..., ::-1]
