@@ -19,7 +19,7 @@ PUBLISHED: dict[str, dict[str, Any]] = {
     "aleth-nerf": {"target": 0.45, "contrast": 12.0, "control": 1e-3, "structure": 1e-3, "grey": 1e-8},
     "ll-nerf": {"mean": 0.55, "exposure": 0.1, "grey": 0.1, "smooth": 0.1, "gamma": 0.01},
     "i2-nerf": {
-        "truth_statistics": False, "dark": 2.0, "structure": 1.0, "bright": 1e-3, "overlap": 1e-3, "variation": 0.1,
+        "truth_statistics": False, "dark": 1.0, "structure": 1.0, "bright": 1e-3, "overlap": 1e-3, "variation": 0.1,
     },
 }  # fmt: skip
 
@@ -37,6 +37,11 @@ def test_gaussians_of_rivals_are_fitted_as_those_of_naive(name: str) -> None:
     assert config.fit == ORIGINAL_FIT == METHODS["naive"].config().fit
     assert config.init_scale == METHODS["naive"].config().init_scale
     assert (config.fit.dssim_weight, config.fit.rates.features) == (0.2, 2.5e-3)
+
+
+def test_features_of_i2_nerf_decay_as_published_and_those_of_no_other_field() -> None:
+    decays = {name: METHODS[name].config().fit.table_decay for name in PUBLISHED if name.endswith("-nerf")}
+    assert decays == {"raw-nerf": 0.0, "aleth-nerf": 0.0, "ll-nerf": 0.0, "i2-nerf": 10.0}
 
 
 def test_the_unit_of_radiance_is_held_by_half_the_weight_of_a_picture() -> None:
