@@ -136,6 +136,7 @@ class _Work:
         for seed in range(self.config.seeds):
             config = self._config("structure", seed)
             seconds.append(self._fit("structure", seed, self._first(), targets.__getitem__, config).gaussians)
+        give_back()
         guide = self._guide(firsts)
         weights = self.weights(non_local_means(guide, SMOOTH))
         worse = self._worse("structure", self._mean_tones(seconds), guide, weights)

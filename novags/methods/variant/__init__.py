@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from novags.methods.knob import MethodKnob
+from novags.methods.memory import Memory
 from novags.settings import changed, has_setting
 from sensor_model.files.reading import brief, reading
 from sensor_model.files.toml_file import read_toml
@@ -41,6 +42,7 @@ class Method:
         cameras: The camera source that the publication uses; None if it does not matter.
         sees_clean: Whether it is given the noise-free exposures; a bound, never a rival.
         sees_surface: Whether it is given the true surface and cameras too; it takes no other cameras.
+        memory: Figures that say how much main memory it takes.
         bound: Which end of the scale of "recovered" it is, "floor" or "ceiling": the cost of noise lies between the
             two.
     """
@@ -57,6 +59,7 @@ class Method:
     cameras: str | None = None
     sees_clean: bool = False
     sees_surface: bool = False
+    memory: Memory = Memory()
     bound: Literal["floor", "ceiling"] | None = None
 
 

@@ -27,8 +27,8 @@ KINDS = ("set", "capture", "run", "measurement")  # in the order in which they a
 SEAL = ".sealed.json"  # hidden, so that it is part of no digest
 SHAPE: Any = {
     "key": str, "content": str, "made_of": dict, "records": {"*": str},
-    "cost": {"seconds": {"*": float}, "peak_bytes": int, "bytes": int, "work": float, "pixels": float, "group": str,
-             "threads": int},
+    "cost": {"seconds": {"*": float}, "peak_bytes": int, "bytes": int, "work": float, "pixels": float, "memory?": float,
+             "group": str, "threads": int},
 }  # fmt: skip
 RECORD = {"stage": {"files": {"*": str}}}  # the entries that a seal needs of the record of a stage
 

@@ -17,6 +17,7 @@ from novags.methods.reconstruction import Reconstruction
 from novags.methods.variant import sees_statistics
 from novags.splats.views import Views
 from novags.testbed.console.devices import chosen_device
+from novags.testbed.console.memory import available_bytes
 from novags.testbed.console.terminal import Console, losses_text, warnings_as_notes
 from novags.testbed.folders import run as run_folder
 from novags.testbed.folders.capture import Capture, open_capture
@@ -104,6 +105,8 @@ def prepare(capture: Capture, source: Source, config: ReconstructConfig, console
     if len(wanted) < 2:
         raise ValueError(f"{capture.path} has {len(wanted)} training view(s), at least 2 are needed")
     device = chosen_device(config.device, console)
+    if device.type == "cpu":
+        said_memory(config, len(wanted), capture, console)
     estimate = cameras_of(config.cameras, capture, source, wanted, config.points, config.seed, device, console)
     indices = [wanted[k] for k in estimate.registered]
     if len(indices) < len(wanted):
@@ -134,6 +137,17 @@ def prepare(capture: Capture, source: Source, config: ReconstructConfig, console
         shared=capture.memo,
     )
     return PreparedProblem(problem.to(device), estimate, indices, device)
+
+
+def said_memory(config: ReconstructConfig, views: int, capture: Capture, console: Console) -> None:
+    """Say how much main memory the run will take at its peak, and whether that is more than there is."""
+    rig, name = capture.cameras.rig, config.variant.name
+    needed = METHODS[config.variant.method].memory.peak(views, rig.width * rig.height, config.points)
+    free = available_bytes()
+    console.note(f"reconstruct {name}: memory {needed / 1e9:.1f} GB at the peak, {free / 1e9:.1f} GB are free")
+    if needed > free:
+        console.warn(f"reconstruct {name} is expected to need more memory than is free: take fewer views, smaller "
+                     "pictures or fewer points, or end other programs")  # fmt: skip
 
 
 def lit_mean(source: Source, indices: list[int]) -> float | None:

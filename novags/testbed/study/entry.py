@@ -34,6 +34,7 @@ class Task:
     group: str = ""  # the peers for its cost: the scene, the camera, the method; of KIN:… its kin, too
     work: float = 0.0  # the amount that its cost grows with, in `costs.UNITS`
     pixels: float = 0.0  # of all its views
+    memory: float = 0.0  # bytes at the peak, by the figures of its method; 0: they grow with the pixels alone
     modules: tuple[str, ...] = ()  # `Source.modules` of the set that is photographed
     code: str = ""  # key of the code that is to make it
     roots: tuple[str, ...] = ()  # the modules that reach this code
@@ -149,5 +150,5 @@ def _cost(order: Order, steps: Steps) -> dict[str, Any]:
     return {
         "seconds": {name: float(record["stage"]["seconds"]) for name, record in records.items()},
         "peak_bytes": max(peaks),
-        "group": task.group, "work": task.work, "pixels": task.pixels, "threads": order.threads,
+        "group": task.group, "work": task.work, "pixels": task.pixels, "memory": task.memory, "threads": order.threads,
     }  # fmt: skip

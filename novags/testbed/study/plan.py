@@ -9,6 +9,7 @@ from typing import Any
 
 from novags.cameras import check_cameras
 from novags.cameras.sources.known import KnownConfig
+from novags.methods import METHODS
 from novags.settings import flattened
 from novags.testbed.console.devices import chosen_device
 from novags.testbed.console.terminal import Console
@@ -33,6 +34,8 @@ from sensor_model.files.dng import SMALLEST
 from sensor_model.files.door import resolved
 from sensor_model.files.reading import brief
 from simscenes.sets.writers.layouts import EXPORTS
+
+TRAINED = 7 / 8  # of the views: every eighth is held out
 
 
 @dataclass(frozen=True)
@@ -159,6 +162,7 @@ class Planner:
             kind="run", key=key, name=named(f"{name}-{self.tasks[captured].name.rpartition('-')[0]}", key),
             config=config, needs=(captured,), group=name, modules=modules,
             work=max(1, iterations) * (pixels / views + config.points), pixels=pixels,
+            memory=METHODS[config.variant.method].memory.peak(TRAINED * views, pixels / views, config.points),
         ))  # fmt: skip
 
     def measurement(self, config: Measurement) -> str:

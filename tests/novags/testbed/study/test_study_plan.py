@@ -238,16 +238,18 @@ def test_measured_costs_correct_predictions_by_the_most_alike(tmp_path: Path) ->
     runs = [task for task in found.tasks.values() if task.kind == "run"]
     naive, oracle = (next(task for task in runs if task.group == group) for group in ("naive", "oracle"))
     costs = Costs()
-    expected = default("run", naive.work, naive.pixels)
+    expected = default("run", naive.work, naive.pixels, naive.memory)
     assert costs.predicted(naive) == expected
     for factor in (3.0, 2.0, 50.0):  # the median counts
         costs.add("run", {"seconds": {"a": factor * expected.seconds / 2, "b": factor * expected.seconds / 2},
                           "peak_bytes": 4 * expected.memory, "bytes": 5 * expected.disk, "group": "naive",
-                          "work": naive.work, "pixels": naive.pixels, "threads": 1})  # fmt: skip
+                          "work": naive.work, "pixels": naive.pixels, "memory": naive.memory,
+                          "threads": 1})  # fmt: skip
     assert costs.predicted(naive).seconds == pytest.approx(3 * expected.seconds)
     assert costs.predicted(oracle).seconds == pytest.approx(3 * expected.seconds)  # nothing is more alike
     costs.add("run", {"seconds": {"a": 7 * expected.seconds}, "peak_bytes": 1, "bytes": 1, "group": "oracle",
-                      "work": naive.work, "pixels": naive.pixels, "threads": 1})  # fmt: skip
+                      "work": naive.work, "pixels": naive.pixels, "memory": naive.memory,
+                          "threads": 1})  # fmt: skip
     assert costs.predicted(oracle).seconds == pytest.approx(7 * expected.seconds)
     assert costs.predicted(naive).memory == pytest.approx(4 * expected.memory)
 
@@ -294,7 +296,7 @@ def test_every_finished_entry_counts_in_what_others_will_cost() -> None:
                 "seconds": {"fit": factor * guess.seconds / 2, "render": factor * guess.seconds / 2}}
                for factor in (1.0, 3.0, 3.0, 3.0, 3.0)]  # fmt: skip
     costs = Costs.of(entries, {"run": 1})
-    task: Any = SimpleNamespace(kind="run", group="naive", work=100.0, pixels=10.0)
+    task: Any = SimpleNamespace(kind="run", group="naive", work=100.0, pixels=10.0, memory=0.0)
     assert costs.predicted(task).seconds == pytest.approx(3 * guess.seconds)
     assert costs.known(task)
     assert not Costs.of([], {}).known(task)
