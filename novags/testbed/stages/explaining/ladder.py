@@ -140,7 +140,7 @@ def explain(cases: Sequence[Case], asked: Sequence[str], console: Console) -> La
             except (NotSwapped, ValueError) as error:
                 lost[name] = str(error)
                 continue
-            mine[name] = paired(values, case.values(case.scores))
+            mine[name] = paired(values, case.values(case.scores, SWAPS[name].above))
             gains.setdefault(name, {}).update(mine[name])
         before = case.values(case.scores)
         ladder = _ladder(case, before, mine, lost)

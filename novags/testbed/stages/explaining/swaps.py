@@ -24,8 +24,11 @@ from novags.testbed.stages.configs.reconstructing import ReconstructConfig
 from novags.testbed.stages.explaining.more import MORE, refuse_more
 from novags.testbed.stages.scores.comparing import values_of
 
-SCORES = {"enhanced": "psnr", "linear": "linear_psnr", "lit": "psnr"}  # by reference, the first that is known
-TONE = "tone_aligned_psnr"  # what is left of the error after the monotone curve that comes closest
+# By reference, the first that is known. Tone is a step of its own: an enhancement is chosen by the pictures, so that
+# without their noise it chooses another tone, which must not count as a loss of that step.
+TONE = "tone_aligned_psnr"
+SCORES = {"enhanced": TONE, "lit": TONE, "linear": "linear_psnr"}
+PLAIN = "psnr"
 
 
 class NotSwapped(ValueError):
@@ -121,11 +124,10 @@ def noise(case: Case) -> ReconstructConfig:
 
 
 def tone(case: Case) -> Values:
-    """Of every channel of a view the monotone curve that comes closest to the truth."""
-    found = case.values(case.scores, TONE)
-    if not found:
-        raise NotSwapped(f"no {TONE} is known against {case.score[0]}")
-    return found
+    """Of every channel of a view the monotone curve that comes closest to the truth: all other steps are scored so."""
+    if case.score[1] != TONE:
+        raise NotSwapped(f"no score after a tone curve is known against {case.score[0]}")
+    return case.values(case.scores)
 
 
 def geometry(case: Case) -> ReconstructConfig:
@@ -182,18 +184,20 @@ class Swap:
         truth: Completes "with ...".
         change: What to make the run again with, or values of the run itself. Raises NotSwapped.
         costs: Times the reconstruction of the run, about.
+        above: The score of the run that it is compared with; None: that of all others.
     """
 
     truth: str
     change: Callable[[Case], ReconstructConfig | Values]
     costs: float = 1.0
+    above: str | None = None
 
 
 SWAPS = {
     "cameras": Swap("the true cameras", cameras),
     "points": Swap("first points on the true surface", points),
     "noise": Swap("the same exposures without noise", noise),
-    "tone": Swap("the monotone curve of each channel that comes closest", tone),
+    "tone": Swap("the monotone curve of each channel that comes closest", tone, above=PLAIN),
     "geometry": Swap("Gaussians kept on the true surface", geometry),
     "colours": Swap("true colours", colours),
     "length": Swap("the best length along the fit, or twice the iterations", length, 2.0),
