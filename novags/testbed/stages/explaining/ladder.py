@@ -13,8 +13,9 @@ from typing import Any
 
 from novags.testbed.console.csv_text import as_csv
 from novags.testbed.console.terminal import Console
-from novags.testbed.folders.run import EXPLAINED, open_run
+from novags.testbed.folders.run import EXPLAINED, METRICS, open_run
 from novags.testbed.ledger.contents import read_json, write_json
+from novags.testbed.ledger.dry import dry_run
 from novags.testbed.metrics.differences import Estimate, Values, estimate, paired
 from novags.testbed.metrics.truth import ERROR
 from novags.testbed.stages.configs.reconstructing import ReconstructConfig
@@ -24,6 +25,7 @@ from novags.testbed.stages.reconstructing import reconstruct
 from novags.testbed.stages.scores.comparing import said
 from novags.testbed.stages.scores.scoring import score
 from sensor_model.files.atomic import write_text
+from sensor_model.files.lock import dry
 
 RECORD, TABLE = "explain.json", "explain.csv"
 SHAPE: Any = {"run": str, "score": str, "value": (float, int, None), "first": str, "not_swapped": {"*": str},
@@ -85,9 +87,12 @@ def cases_of(paths: Sequence[Path], console: Console) -> list[Case]:
     """
     found = []
     for path in paths:
-        metrics = score(path, console)
+        with dry_run(dry.get()):
+            score(path, console)
         run = open_run(path)
-        found.append(Case(run, *run.inputs(console), metrics["methods"][run.name]))
+        if (scores := run.scores()) is None:
+            raise ValueError(f"{path} has not been scored: run novags score first")
+        found.append(Case(run, *run.inputs(console), scores))
     if len(names := sorted({case.run.name for case in found})) > 1:
         raise ValueError(f"runs that are explained together must be of one method, got {', '.join(names)}: one at a time")
     if len({case.seed for case in found}) < len(found):
@@ -107,21 +112,23 @@ def changes_of(case: Case, asked: Sequence[str]) -> dict[str, Change]:
     return {name: change(name) for name in asked}
 
 
-def forecast(cases: Sequence[Case], asked: Sequence[str]) -> tuple[list[str], float]:
-    """The runs that have to be made, each with its seconds, and all of these; by the cost of the run itself."""
-    lines, total = list[str](), 0.0
+def forecast(cases: Sequence[Case], asked: Sequence[str]) -> dict[Path, float]:
+    """The runs that are not there yet, each with its seconds, by the cost of the run that is explained."""
+    found = dict[Path, float]()
     for case in cases:
-        own = float(case.run.record["stage"]["seconds"])
+        inputs = (case.capture.record.stage, case.source.views.meta.get("stage", {}))
         for name, change in changes_of(case, asked).items():
-            if not isinstance(change, ReconstructConfig) or (case.folder(name) / "metrics.json").exists():
-                continue
-            seconds = own * SWAPS[name].costs
-            if change.more is not None:
-                seconds += MORE * sum(float(record.get("seconds", 0)) for record in (
-                    case.capture.record.stage, case.source.views.meta.get("stage", {})))  # fmt: skip
-            lines.append(f"{case.folder(name)}: about {seconds:.0f} s")
-            total += seconds
-    return lines, total
+            folder = case.folder(name)
+            if isinstance(change, ReconstructConfig) and not (folder / METRICS).exists():
+                found[folder] = SWAPS[name].costs * float(case.run.record["stage"]["seconds"])
+                if change.more is not None:
+                    found[folder] += MORE * sum(float(stage.get("seconds", 0)) for stage in inputs)
+    return found
+
+
+def made(cases: Sequence[Case]) -> list[Path]:
+    """The files of each ladder."""
+    return [case.run.path / EXPLAINED / name for case in cases for name in (RECORD, TABLE)]
 
 
 def explain(cases: Sequence[Case], asked: Sequence[str], console: Console) -> Ladder:
