@@ -1,4 +1,4 @@
-"""The commands about existing results: score, report, characterise."""
+"""The commands about existing results: score, explain, report, characterise."""
 
 import os
 from collections.abc import Mapping
@@ -10,6 +10,8 @@ from novags.commands.shared import announce, next_, say, typed, writing
 from novags.options import Folder, Folders
 
 _Reference = Literal["lit", "linear", "clean", "linear_demosaiced", "clean_demosaiced"]
+
+_Swap = Literal["cameras", "points", "noise", "tone", "geometry", "colours", "length", "views"]
 
 if TYPE_CHECKING:
     from novags.testbed.metrics.differences import Estimate
@@ -92,6 +94,41 @@ def _score_pictures(
     if out is not None:
         write_json(out, {**found, "renders": str(renders), "set": str(set)})
         say(out)
+
+
+def explain(runs: Folders, *, swaps: tuple[_Swap, ...] = (), wait: bool = False, dry_run: bool = False) -> None:
+    """Say where the dB of a run are lost: each ingredient is replaced by its truth, alone, on the same capture.
+
+    Writes RUN/explain/: the ladder as explain.json and explain.csv, and a run for each truth. What is there is kept.
+
+    Args:
+        runs: Folders of runs: one, or several of one method that differ in their seeds, of which one ladder is made.
+        swaps: The ingredients; all if none is named.
+        wait: If another process is writing there, wait until it is done instead of refusing.
+        dry_run: Only say which runs would be made, and about how long they take. Nothing is written.
+    """
+    from contextlib import ExitStack
+
+    from novags.testbed.ledger.dry import dry_run as dry
+    from novags.testbed.ledger.dry import planned
+    from novags.testbed.stages.explaining import ladder
+    from novags.testbed.stages.explaining.swaps import SWAPS
+    from novags.testbed.study.engines.progress import duration
+
+    if not runs:
+        raise ValueError("name at least one folder of a run")
+    console = shared.console()
+    with dry(dry_run), ExitStack() as held:
+        for run in dict.fromkeys(runs):
+            held.enter_context(writing(run, wait, make=False, dry_run=dry_run))
+        cases, asked = ladder.cases_of(runs, console), swaps or tuple(SWAPS)
+        seconds = ladder.forecast(cases, asked)
+        for folder, cost in seconds.items():
+            console.note(f"explain: {folder}, about {duration(cost)}")
+        console.note(f"explain: {len(seconds)} runs to make, about {duration(sum(seconds.values()))} in all")
+        planned(console, "explain", ladder.made(cases))
+        say("\n".join(ladder.explain(cases, asked, console).lines()))
+        next_(f"novags report {' '.join(typed(run) for run in runs)}")
 
 
 def export_results(

@@ -10,6 +10,7 @@ events.jsonl          losses, one line per step
 enhanced/NNNN.png     training pictures after the enhancement     denoised/NNNN.png   and what was fitted, if different
 renders/NNNN.png      held-out views                              renders_train/NNNN.png    training views
 exr/NNNN.exr          of every view, float32: R G B as rendered, Z (expected depth in the method's frame), alpha
+explain/              where its dB are lost: a run for each ingredient that was replaced by its truth
 along/NNNNNN/         renders/ and exr/ of the held-out views after so many iterations of the fit, on request
 """
 
@@ -45,6 +46,7 @@ CHECKPOINTS = (
     "checkpoint.safetensors", "checkpoint.denoiser.safetensors", "checkpoint.enhancer.safetensors", "checkpoints",
 )  # fmt: skip
 ALONG = "along"
+EXPLAINED = "explain"  # where its dB are lost, and the runs that say so
 LARGEST = 1e12  # of rendered values: the sum of their squares over a picture stays within 32 bits
 SCENE = "point_cloud.ply"
 CAMERAS, VIEWERS = "cameras.json", "viewers"
@@ -64,7 +66,7 @@ RESULT = (
     "depth",
     ALONG,
 )
-OWNS = (*RESULT, *CHECKPOINTS, METRICS, "report.html", "report.files")
+OWNS = (*RESULT, *CHECKPOINTS, METRICS, EXPLAINED, "report.html", "report.files")
 
 
 @dataclass(frozen=True)

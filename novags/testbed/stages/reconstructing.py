@@ -30,6 +30,7 @@ from novags.testbed.folders.set import Source
 from novags.testbed.ledger.stage import run_stage
 from novags.testbed.stages.camera_source import CoordinateFrame, cameras_of, true_cameras, viewer_cameras, views_of
 from novags.testbed.stages.configs.reconstructing import ReconstructConfig, files_of
+from novags.testbed.stages.explaining.given import GIVEN
 from novags.testbed.stages.paths import keep_apart
 from novags.warm import compile_ahead, kernels_of
 from sensor_model.files.lock import locked
@@ -47,6 +48,7 @@ class PreparedProblem:
     estimate: CameraEstimate
     indices: list[int]  # of the capture's views, the training views that have a camera
     device: torch.device
+    capture: Capture  # whose views are trained on
 
 
 def reconstruct(
@@ -68,16 +70,19 @@ def reconstruct(
     keep_apart(out, capture_path)
     capture = open_capture(capture_path)
     source = capture.source(console)
+    learned = capture if config.more is None else open_capture(config.more)
+    of = source if config.more is None else learned.source(console)
+    more = (lambda: {}) if config.more is None else lambda: {"more": learned.digest()}
     record = run_stage(
         f"reconstruct {config.variant.name}",
         out,
         run_folder.RECORD,
         code=config.code.along_with((*source.modules, *capture.modules)),
-        opened={"capture": capture.content, "set": source.content, **files_of(config)},
-        inputs=lambda: {"capture": capture.digest(), "set": source.digest(), **files_of(config)},
+        opened={"capture": capture.content, "set": source.content, **more(), **files_of(config)},
+        inputs=lambda: {"capture": capture.digest(), "set": source.digest(), **more(), **files_of(config)},
         config=config.resolved(),
         owns=run_folder.OWNS,
-        prepare=lambda: prepare(capture, source, config, console),
+        prepare=lambda: prepare(learned, of, config, console),
         work=lambda prepared: reconstruct_views(capture, prepared, out, config, console),
         console=console,
         stale=stale,
@@ -136,7 +141,9 @@ def prepare(capture: Capture, source: Source, config: ReconstructConfig, console
         names=tuple(capture.names[i] for i in indices),
         shared=capture.memo,
     )
-    return PreparedProblem(problem.to(device), estimate, indices, device)
+    if config.given:
+        problem = GIVEN[config.given](problem, capture, source, estimate, indices)
+    return PreparedProblem(problem.to(device), estimate, indices, device, capture)
 
 
 def said_memory(config: ReconstructConfig, views: int, capture: Capture, console: Console) -> None:
@@ -218,12 +225,17 @@ def reconstruct_views(
             progress(done, total, losses_text(losses))
 
         result = method.train(problem, config.config, progress=step, checkpoint=folder / CHECKPOINTS[0])
-    frame = CoordinateFrame.of(capture, prepared.indices, prepared.estimate, result.viewmats)
+    frame = CoordinateFrame.of(prepared.capture, prepared.indices, prepared.estimate, result.viewmats)
+    facts = frame.facts()
     with console.progress(f"render {variant.name}") as progress:
-        write_images(folder, problem.names, result)
+        own = prepared.capture is capture
+        if own:  # pictures of other views would be taken for those of the capture that have their names
+            write_images(folder, problem.names, result)
         result.save(folder)
         mine = [frame.view(i, torch.device("cpu")) for i in prepared.indices]
         write_json(folder / CAMERAS, viewer_cameras(problem.names, mine))
+        if not own:
+            frame = replace(frame, capture=capture, indices=[])
         for i, name in enumerate(capture.names):
             write_rendering(folder, capture, i, result, frame.view(i, prepared.device))
             progress(i + 1, len(capture.names), f"view {name}")
@@ -252,7 +264,7 @@ def reconstruct_views(
         "points": config.points,
         "start": {"points": len(problem.start.points), "made_of": prepared.estimate.made_of},
         "device": str(prepared.device),
-        "cameras": {"source": config.resolved()["cameras"], **frame.facts()},
+        "cameras": {"source": config.resolved()["cameras"], **facts},
         **result.scene.facts(),
         "training_views": len(problem.views),
         **({run_folder.ALONG: sorted(result.along)} if result.along else {}),

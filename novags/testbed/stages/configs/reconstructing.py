@@ -1,6 +1,7 @@
 """How to reconstruct a capture."""
 
 from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import Any
 
 from novags.cameras import spell_cameras
@@ -25,6 +26,8 @@ class ReconstructConfig:
     cameras: CameraConfig = field(default_factory=KnownConfig)
     points: int = 8000  # Gaussians at the start, and at most if the fit's `cap_max` is None
     seed: int = 0
+    given: str = ""  # an ingredient that is replaced by its truth: a name of `GIVEN`; "": none, as of every rival
+    more: Path | None = None  # a capture whose views are trained on in place of the own; held-out views stay
     device: str = "auto"  # "auto", "cpu", "cuda": not part of a result's identity
 
     def __post_init__(self) -> None:
@@ -52,6 +55,7 @@ class ReconstructConfig:
         return {
             "method": self.variant.method, "points": self.points, "seed": self.seed,
             "cameras": spell_cameras(self.cameras), "config": asdict(self.config),
+            **({"given": self.given} if self.given else {}),
         }  # fmt: skip
 
 
