@@ -121,7 +121,7 @@ def explain(runs: Folders, *, swaps: tuple[_Swap, ...] = (), wait: bool = False,
     with dry(dry_run), ExitStack() as held:
         for run in dict.fromkeys(runs):
             held.enter_context(writing(run, wait, make=False, dry_run=dry_run))
-        cases, asked = ladder.cases_of(runs, console), swaps or tuple(SWAPS)
+        cases, asked = ladder.cases_of(runs, console), list[str](swaps or SWAPS)
         seconds = ladder.forecast(cases, asked)
         for folder, cost in seconds.items():
             console.note(f"explain: {folder}, about {duration(cost)}")

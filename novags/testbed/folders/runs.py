@@ -51,7 +51,8 @@ def _paths(folder: Path) -> list[Path]:
     studies = {folder: _done(folder)}
     if studies[folder] is None:
         below = {path.parent for name in (TABLE, RECORD) for path in folder.rglob(name)
-                 if not any(part.startswith(".") or part == EXPLAINED for part in path.relative_to(folder).parts)}  # fmt: skip
+                 if not any(part.startswith(".") or part == EXPLAINED
+                            for part in path.relative_to(folder).parts)}  # fmt: skip
         studies = {path: _done(path) for path in sorted(below)}
     found = list[Path]()
     for path, done in studies.items():

@@ -29,9 +29,7 @@ def noise(problem: Problem, capture: Capture, source: Source, estimate: CameraEs
     )  # fmt: skip
 
 
-def points(
-    problem: Problem, capture: Capture, source: Source, estimate: CameraEstimate, indices: list[int]
-) -> Problem:
+def points(problem: Problem, capture: Capture, source: Source, estimate: CameraEstimate, indices: list[int]) -> Problem:
     """First points on the true surface, brought to the frame of the run's own cameras."""
     assert problem.n_gaussians is not None
     true = cameras_of(KnownConfig(), capture, source, indices, problem.n_gaussians, problem.seed,

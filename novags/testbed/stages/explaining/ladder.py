@@ -56,8 +56,10 @@ class Ladder:
         best, gain = next(iter(self.won.items()), (None, None))
         if best is None or gain is None:
             return f"Nothing of {self.name} could be replaced by its truth."
-        if gain.value <= 0 or (gain.error is not None and not gain.seen):
-            return f"No truth alone is seen to win anything; the most is {said(gain)}, with {SWAPS[best].truth}."
+        if gain.value <= 0:
+            return f"No truth alone wins anything; the best is {said(gain)}, with {SWAPS[best].truth}."
+        if gain.error is not None and not gain.seen:
+            return f"Most may be lost to {best}, but {said(gain)}, with {SWAPS[best].truth}, is not seen to be a gain."
         return f"Most is lost to {best}: with {SWAPS[best].truth} {self.name} has {said(gain)}."
 
     def lines(self) -> list[str]:
@@ -94,7 +96,7 @@ def cases_of(paths: Sequence[Path], console: Console) -> list[Case]:
             raise ValueError(f"{path} has not been scored: run novags score first")
         found.append(Case(run, *run.inputs(console), scores))
     if len(names := sorted({case.run.name for case in found})) > 1:
-        raise ValueError(f"runs that are explained together must be of one method, got {', '.join(names)}: one at a time")
+        raise ValueError(f"runs that are explained together must be of one method, got {', '.join(names)}")
     if len({case.seed for case in found}) < len(found):
         raise ValueError("runs that are explained together must differ in their seeds: one at a time")
     return found

@@ -8,8 +8,8 @@ from novags.settings import changed
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.set import Source, open_source
-from novags.testbed.stages.capturing import capture as take
 from novags.testbed.stages.capturing import camera_for, measure_light
+from novags.testbed.stages.capturing import capture as take
 from novags.testbed.stages.configs.capturing import CaptureConfig
 from novags.testbed.stages.configs.rendering import RenderConfig
 from novags.testbed.stages.rendering import render
@@ -42,7 +42,8 @@ def make_more(capture: Capture, source: Source, folder: Path, console: Console) 
     Every picture has the exposure of the first capture.
     """
     told = capture.record.simulated
-    assert told is not None and told.mean_green is not None
+    assert told is not None
+    assert told.mean_green is not None
     asked = dotted(source.views.meta["stage"]["config"])
     base = RenderConfig(scene=asked.pop("scene"))
     config = changed(base, {**asked, "n_views": MORE * len(source.views), "truth_samples": 1.0})

@@ -1,6 +1,7 @@
 """The table of swaps: which ingredient of a run its truth can replace, and how; one row each.
 
-A row answers for one run: the configuration to make it again with, or scores of the run itself, or why neither is known.
+A row answers for one run: the configuration to make it again with, or scores of the run itself, or why neither is
+known.
 """
 
 from collections.abc import Callable, Mapping
@@ -63,8 +64,10 @@ class Case:
         """
         run = self.run
         if (method := METHODS.get(run.method)) is None:
-            raise NotSwapped(f"{run.method} is no method of the test bed, so that it cannot be run again from its record: "
-                             "a program was given the true cameras and the noisy pictures")  # fmt: skip
+            raise NotSwapped(
+                f"{run.method} is no method of the test bed: a program was given the true cameras and the noisy "
+                "pictures, and its record does not say where it lies"
+            )
         asked = run.record["stage"]["config"]
         try:
             config = changed(method.config(), dotted(asked["config"]), what=run.name)
@@ -132,9 +135,9 @@ def tone(case: Case) -> Values:
 
 def geometry(case: Case) -> ReconstructConfig:
     """Gaussians that start on the true surface and stay where they are."""
-    _need_surface(case)
     if not has_setting(case.config.config, "fit.rates.means"):
         raise NotSwapped(f"{case.run.name} fits no Gaussians, which alone can be kept in their places")
+    _need_surface(case)
     fixed = {"fit.rates.means": 0.0, "fit.rates.means_final": 0.0, "fit.mcmc": None}
     return replace(case.config, given="points", config=changed(case.config.config, fixed))
 

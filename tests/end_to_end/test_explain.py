@@ -1,0 +1,83 @@
+"""Claims about `novags explain`, on tiny pictures: the cause that was put in is the first that is named."""
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from novags.cameras import parse_cameras
+from novags.testbed import stages
+from novags.testbed.console.terminal import Console
+from novags.testbed.folders.run import open_run
+from novags.testbed.folders.runs import runs_in
+from novags.testbed.report.page import write_report
+from novags.testbed.stages.configs.capturing import CaptureConfig
+from novags.testbed.stages.configs.rendering import RenderConfig
+from novags.testbed.stages.explaining.ladder import Ladder, cases_of, explain, explained, forecast
+from novags.testbed.stages.explaining.swaps import SWAPS
+from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
+
+CAUSES = {  # views, electrons, cameras
+    "cameras": (16, 400, "known:rotation_deg=1.5"),
+    "noise": (16, 2, "known"),
+    "views": (4, 400, "known"),
+}
+
+
+def ladder_of(run: Path, quiet: Console) -> Ladder:
+    return explain(cases_of([run], quiet), list(SWAPS), quiet)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("cause", CAUSES)
+def test_the_cause_that_was_put_in_is_named_first(cause: str, seed: int, tmp_path: Path, quiet: Console) -> None:
+    views, electrons, cameras = CAUSES[cause]
+    scene = RenderConfig(
+        scene="tabletop:11", n_views=views, width=48, height=48, spp=64, truth_samples=4, seed=seed
+    )  # fmt: skip
+    stages.render(tmp_path / "set", scene, quiet)
+    stages.capture(tmp_path / "set", tmp_path / "capture", CaptureConfig(electrons=electrons, seed=seed), quiet)
+    preset = adapted(
+        EXPERIMENTS["demo"], methods=("naive",), iterations=800, points=1500, device="cpu",
+        cameras=parse_cameras(cameras),
+    )  # fmt: skip
+    stages.reconstruct(tmp_path / "capture", tmp_path / "run", replace(preset.reconstruct("naive"), seed=seed), quiet)
+    found = ladder_of(tmp_path / "run", quiet)
+    assert next(iter(found.won)) == cause, found.lines()
+    assert cause in found.first
+    assert found.won.keys() | found.not_swapped.keys() == SWAPS.keys()
+
+
+def test_a_ladder_is_made_once_and_changes_nothing_but_its_own_folder(
+    experiment: Path, tmp_path: Path, quiet: Console
+) -> None:
+    place = shutil.copytree(experiment, tmp_path / "place")
+    run = place / "naive"
+    digest, listed = open_run(run).digest(), list(runs_in([place]))
+    before = forecast(cases_of([run], quiet), list(SWAPS))
+    assert {folder.name for folder in before} == {"noise", "geometry", "length", "views"}
+    first = ladder_of(run, quiet)
+    made = {folder: (folder / "run.json").read_bytes() for folder in before}
+    assert forecast(cases_of([run], quiet), list(SWAPS)) == {}
+    assert ladder_of(run, quiet) == first
+    assert made == {folder: (folder / "run.json").read_bytes() for folder in before}
+    assert open_run(run).digest() == digest
+    assert list(runs_in([place])) == list(runs_in([tmp_path])) == listed
+    record = explained(run)
+    assert record is not None
+    assert [step["swap"] for step in record["steps"]] == list(first.won)
+    page = write_report(place, quiet).read_text(encoding="utf-8")
+    assert first.first in page
+    assert explained(place / "oracle") is None
+    # Of more views: the held-out ones are those of the run, and the exposure of all is that of the first capture.
+    own, more = (json.loads((folder / "capture.json").read_text())
+                 for folder in (place / "capture", run / "explain" / "more" / "capture"))  # fmt: skip
+    scores = open_run(run / "explain" / "views").scores()
+    assert scores is not None
+    assert scores["views"].keys() == (open_run(run).scores() or {})["views"].keys()
+    assert more["electrons"] / more["mean_green_radiance"] == pytest.approx(
+        own["electrons"] / own["mean_green_radiance"]
+    )

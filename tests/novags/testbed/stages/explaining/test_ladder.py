@@ -1,0 +1,92 @@
+"""Claims about the ladder: errors decide what is said, and what cannot be tried is named with its reason."""
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from novags.cameras import parse_cameras
+from novags.methods.variant import Variant
+from novags.testbed.metrics.differences import Estimate
+from novags.testbed.stages.configs.reconstructing import ReconstructConfig
+from novags.testbed.stages.explaining.ladder import Ladder, changes_of
+from novags.testbed.stages.explaining.swaps import SWAPS, Case, NotSwapped
+
+
+def gain(value: float, error: float | None) -> Estimate:
+    return Estimate(value, error, 5.0, "" if error is None else "views", 1, 1, 6)
+
+
+def ladder(**won: Estimate) -> Ladder:
+    return Ladder("naive", "psnr", 20.0, won, {"colours": "not defined"})
+
+
+def test_the_sentence_names_the_first_cause_and_claims_no_more_than_its_error_allows() -> None:
+    assert ladder(noise=gain(3.0, 0.1), views=gain(1.0, 0.1)).first.startswith("Most is lost to noise: ")
+    assert "is not seen to be a gain" in ladder(noise=gain(0.1, 0.1)).first
+    assert ladder(noise=gain(-0.5, 0.1)).first.startswith("No truth alone wins anything")
+    assert "no error is known" in ladder(views=gain(8.0, None)).first
+    assert "could be replaced" in ladder().first
+
+
+def test_what_was_not_replaced_is_printed_with_its_reason() -> None:
+    said = "\n".join(ladder(noise=gain(3.0, 0.1)).lines())
+    assert "colours   not replaced: not defined" in said
+    assert ladder().record()["not_swapped"] == {"colours": "not defined"}
+
+
+def case(tmp_path: Path, *, imported: bool = False, cameras: str = "known", **scores: Any) -> Case:
+    """A run of naive, of which nothing is on disk."""
+    config = ReconstructConfig(variant=Variant(name="naive", method="naive"), cameras=parse_cameras(cameras))
+    capture = SimpleNamespace(
+        imported=imported, holds=lambda part: not imported, record=SimpleNamespace(simulated=None), path=tmp_path
+    )
+    source = SimpleNamespace(scaled=False, views=SimpleNamespace(kind="photographs", meta={}, geometry=lambda i: None))
+    run = SimpleNamespace(path=tmp_path, name="naive", method="naive", record={"seed": 0})
+    values = {"tone_aligned_psnr": 21.0, "psnr": 20.0}
+    found = Case(run, capture, source, {"mean": {"enhanced": values}, "views": {"0": {"enhanced": values}}} | scores)  # type: ignore[arg-type]
+    vars(found)["config"] = config
+    return found
+
+
+def test_photographs_have_no_truth_but_the_tone_and_the_length(tmp_path: Path) -> None:
+    found = changes_of(case(tmp_path, imported=True, cameras="known:rotation_deg=1"), list(SWAPS))
+    assert [name for name, change in found.items() if not isinstance(change, NotSwapped)] == ["tone", "length"]
+    assert all(str(change) for change in found.values())
+
+
+def test_ingredients_that_are_true_already_are_not_replaced(tmp_path: Path) -> None:
+    found = changes_of(case(tmp_path), list(SWAPS))
+    assert "true ones already" in str(found["cameras"])
+
+
+def test_cameras_are_swapped_alone(tmp_path: Path) -> None:
+    before = case(tmp_path, cameras="known:rotation_deg=1")
+    found: Any = changes_of(before, ["cameras"])["cameras"]
+    assert found.cameras == parse_cameras("known")
+    assert (found.config, found.given, found.more) == (before.config.config, "", None)
+
+
+def test_the_length_is_the_best_along_the_fit_and_twice_the_iterations_without(tmp_path: Path) -> None:
+    twice: Any = changes_of(case(tmp_path), ["length"])["length"]
+    assert twice.config.fit.iterations == 2 * case(tmp_path).config.config.fit.iterations
+    along = [{"iterations": at, "mean": {"enhanced": {"tone_aligned_psnr": value}},
+              "views": {"0": {"enhanced": {"tone_aligned_psnr": value}}}}
+             for at, value in ((10, 19.0), (20, 23.0))]  # fmt: skip
+    best: Any = changes_of(case(tmp_path, along=along), ["length"])["length"]
+    assert list(best.values()) == [23.0]
+
+
+def test_a_program_is_not_made_again_and_the_reason_is_said(tmp_path: Path) -> None:
+    run: Any = SimpleNamespace(path=tmp_path, name="theirs", method="theirs", record={"seed": 0})
+    ours = case(tmp_path)
+    found = changes_of(Case(run, ours.capture, ours.source, ours.scores), list(SWAPS))
+    assert {name for name, change in found.items() if "no method of the test bed" in str(change)} == {
+        "cameras", "points", "noise", "geometry", "length", "views"
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SWAPS)
+def test_every_row_says_its_truth(name: str) -> None:
+    assert SWAPS[name].truth
