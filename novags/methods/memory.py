@@ -17,9 +17,9 @@ class Memory:
     """
 
     fixed: float = 0.5e9
-    point: float = 1000.0
+    point: float = 1100.0
     pictures: float = 2.0
-    work: float = 20.0
+    work: float = 48.0
 
     def peak(self, views: float, pixels: float, points: float) -> float:
         """Bytes at the peak of a run on the CPU.

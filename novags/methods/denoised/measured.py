@@ -112,5 +112,5 @@ def in_electrons(data: MeasuredLight, light: Iterable[Tensor] | None = None) -> 
     count, height, width, channels = like.shape
     planes = ((view / unit).nan_to_num(0.0).movedim(-1, 0) for view in (like if light is None else light))
     electrons = gathered(planes, like.new_empty(count, channels, height, width))
-    mask = data.measured[:1].movedim(-1, 1).to(like)
+    mask = (~like[:1].isnan()).movedim(-1, 1).to(like)
     return MeasuredPictures(electrons, mask, data.noise, unit, data.matrix)

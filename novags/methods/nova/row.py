@@ -1,5 +1,6 @@
 """NOVA-GS as a row of `METHODS`."""
 
+from novags.methods.memory import Memory
 from novags.methods.nova.config import NovaConfig, parts
 from novags.methods.nova.knobs import KNOBS
 from novags.methods.variant import Method
@@ -17,4 +18,5 @@ METHOD = Method(
     knobs=KNOBS,
     source="NOVA-GS: Noise-Aware View-Consistent Gaussian Splatting for Low-Light Novel View Synthesis",
     cameras="vggt",
+    memory=Memory(fixed=0.65e9, pictures=3.0),
 )

@@ -1,5 +1,6 @@
 """The method of docs/nova-plus.md as a row of `METHODS`."""
 
+from novags.methods.memory import Memory
 from novags.methods.nova_plus.config import NovaPlusConfig, parts
 from novags.methods.nova_plus.knobs import KNOBS
 from novags.methods.variant import Method
@@ -16,4 +17,5 @@ METHOD = Method(
     least={"likelihood": 666, "structure": 666},
     knobs=KNOBS,
     source="docs/nova-plus.md",
+    memory=Memory(fixed=0.7e9, pictures=4.0, work=100.0),
 )

@@ -159,6 +159,7 @@ class _Work:
         light = guided_light(guide, self.data, self.curve, h, self.config.averaged_share)
         expected = (self.curve.light(view) for view in guide)
         del guide  # its memory is wanted once `expected` is used up
+        give_back()
         clean = self.denoised(expected)
         self.found["denoised"] = clean is not None
         for seen, other in zip(light, light if clean is None else clean, strict=True):

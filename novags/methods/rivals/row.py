@@ -4,9 +4,13 @@ from collections.abc import Callable
 from typing import Any
 
 from novags.methods.enhanced.config import fit_parts
+from novags.methods.memory import Memory
 from novags.methods.variant import Method
 
 
-def rival(config: Callable[[], Any], train: Any, *, title: str, color: str, source: str) -> Method:
+def rival(config: Callable[[], Any], train: Any, *, title: str, color: str, source: str, memory: Memory) -> Method:
     """Another group's method that consists of one fit of Gaussians."""
-    return Method(title=title, family="3DGS", color=color, source=source, config=config, train=train, parts=fit_parts)
+    return Method(
+        title=title, family="3DGS", color=color, source=source, config=config, train=train, parts=fit_parts,
+        memory=memory,
+    )  # fmt: skip

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 
 from novags.fields.training.config import FieldFitConfig
 from novags.methods.inputs import Pictures
+from novags.methods.memory import Memory
 from novags.methods.nerf.config import fit_parts
 from novags.methods.variant import Method
 from sensor_model.files.registry import Later
@@ -47,4 +48,5 @@ METHOD = Method(
     train=Later("novags.methods.nerf.aleth:train"),
     parts=fit_parts,
     source="Aleth-NeRF (Cui et al. 2024)",
+    memory=Memory(fixed=0.9e9),
 )

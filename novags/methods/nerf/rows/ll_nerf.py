@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 
 from novags.fields.training.config import FieldFitConfig
 from novags.methods.inputs import Pictures
+from novags.methods.memory import Memory
 from novags.methods.nerf.config import fit_parts
 from novags.methods.variant import Method
 from sensor_model.files.registry import Later
@@ -50,4 +51,5 @@ METHOD = Method(
     train=Later("novags.methods.nerf.llnerf:train"),
     parts=fit_parts,
     source="LLNeRF (Wang et al. 2023)",
+    memory=Memory(fixed=1.08e9),
 )

@@ -1,5 +1,6 @@
 """A field that is fitted to the enhanced pictures (`plain.py`)."""
 
+from novags.methods.memory import Memory
 from novags.methods.nerf.config import NerfConfig, fit_parts
 from novags.methods.variant import Method
 from sensor_model.files.registry import Later
@@ -12,4 +13,5 @@ METHOD = Method(
     train=Later("novags.methods.nerf.plain:train"),
     parts=fit_parts,
     source="NeRF (Mildenhall et al. 2020) with the encoding of Instant-NGP (Mueller et al. 2022)",
+    memory=Memory(fixed=0.9e9),
 )

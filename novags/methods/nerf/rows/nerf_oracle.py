@@ -1,5 +1,6 @@
 """The ceiling of fields: `nerf`, from exposures without noise (`clean.py`)."""
 
+from novags.methods.memory import Memory
 from novags.methods.nerf.config import NerfConfig, fit_parts
 from novags.methods.variant import Method
 from sensor_model.files.registry import Later
@@ -13,4 +14,5 @@ METHOD = Method(
     parts=fit_parts,
     source="NeRF (Mildenhall et al. 2020) on simulated exposures without noise",
     sees_clean=True,
+    memory=Memory(fixed=0.9e9),
 )

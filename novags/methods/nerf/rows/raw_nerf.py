@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from novags.fields.training.config import FieldFitConfig
 from novags.methods.enhancers.choice import EnhanceConfig, Enhancement
 from novags.methods.inputs import Pictures
+from novags.methods.memory import Memory
 from novags.methods.nerf.config import fit_parts
 from novags.methods.variant import Method
 from sensor_model.files.registry import Later
@@ -40,4 +41,5 @@ METHOD = Method(
     train=Later("novags.methods.nerf.raw:train"),
     parts=fit_parts,
     source="RawNeRF (Mildenhall et al. 2022)",
+    memory=Memory(fixed=0.9e9),
 )

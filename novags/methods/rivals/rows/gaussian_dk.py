@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from novags.methods.enhanced.config import ORIGINAL_FIT, ORIGINAL_SCALE
 from novags.methods.inputs import Pictures
+from novags.methods.memory import Memory
 from novags.methods.rivals.row import rival
 from novags.splats.training.config import FitConfig
 from sensor_model.files.registry import Later
@@ -40,4 +41,5 @@ METHOD = rival(
     title="radiance, and a camera response that is learned with it; shown at a larger exposure",
     color="#b07aa1",
     source="Gaussian-DK (Ye et al. 2024)",
+    memory=Memory(fixed=0.58e9, pictures=3.0, work=150.0),
 )

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from novags.methods.enhanced.config import ORIGINAL_FIT, ORIGINAL_SCALE
 from novags.methods.inputs import Pictures
+from novags.methods.memory import Memory
 from novags.methods.rivals.row import rival
 from novags.splats.training.config import FitConfig
 from sensor_model.files.registry import Later
@@ -58,4 +59,5 @@ METHOD = rival(
     "shown denoised",
     color="#d37295",
     source="LITA-GS (Zhou et al. 2025)",
+    memory=Memory(fixed=0.66e9, pictures=1.4, work=203.0),
 )

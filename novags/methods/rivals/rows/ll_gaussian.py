@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from novags.methods.enhanced.config import ORIGINAL_FIT, ORIGINAL_SCALE
 from novags.methods.inputs import Pictures
+from novags.methods.memory import Memory
 from novags.methods.rivals.row import rival
 from novags.splats.training.config import FitConfig
 from sensor_model.files.registry import Later
@@ -45,4 +46,5 @@ METHOD = rival(
     title="reflectance, illumination and interference of each Gaussian; shown with the illumination raised",
     color="#9c755f",
     source="the decomposition of LL-Gaussian (Sun et al. 2025)",
+    memory=Memory(fixed=0.55e9, pictures=1.0, work=130.0),
 )

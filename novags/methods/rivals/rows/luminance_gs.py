@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from novags.methods.enhanced.config import ORIGINAL_FIT, ORIGINAL_SCALE
 from novags.methods.inputs import Pictures
+from novags.methods.memory import Memory
 from novags.methods.rivals.row import rival
 from novags.splats.training.config import FitConfig
 from sensor_model.files.registry import Later
@@ -54,4 +55,5 @@ METHOD = rival(
     title="dark and lit colours for each Gaussian; the lit ones follow curves that are learned with them",
     color="#66a61e",
     source="Luminance-GS (Cui et al. 2025)",
+    memory=Memory(fixed=0.66e9, pictures=2.0, work=265.0),
 )

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from novags.methods.enhanced.config import ORIGINAL_FIT, ORIGINAL_SCALE
 from novags.methods.enhancers.choice import EnhanceConfig, Enhancement
 from novags.methods.inputs import Pictures
+from novags.methods.memory import Memory
 from novags.methods.rivals.row import rival
 from novags.splats.training.config import FitConfig
 from sensor_model.files.registry import Later
@@ -40,4 +41,5 @@ METHOD = rival(
     title="the light of the scene, fitted to the raw data by the loss of RawNeRF",
     color="#a6761d",
     source="RawNeRF (Mildenhall et al. 2022) and LE3D (Jin et al. 2024)",
+    memory=Memory(pictures=5.0, work=80.0),
 )
