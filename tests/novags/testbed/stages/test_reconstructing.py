@@ -89,7 +89,7 @@ def test_a_run_has_a_camera_of_every_training_view_and_a_picture_of_every_view(
     prepared = reconstructing.prepare(opened, opened.source(QUIET), config, QUIET)
     result = SimpleNamespace(viewmats=None, save=lambda folder: None, space="lit", enhancement=None, found=None,
                              config=config.config, scene=SimpleNamespace(facts=dict), seconds={}, enhanced=None,
-                             targets=None)  # fmt: skip
+                             targets=None, along={})  # fmt: skip
     method = SimpleNamespace(parts=None, train=lambda *_, **__: result, sees_clean=False, sees_surface=False)
     monkeypatch.setattr(reconstructing, "METHODS", {"naive": method})
     monkeypatch.setattr(
