@@ -64,6 +64,9 @@ def test_a_ladder_is_made_once_and_changes_nothing_but_its_own_folder(
     assert forecast(cases_of([run], quiet), list(SWAPS)) == {}
     assert ladder_of(run, quiet) == first
     assert made == {folder: (folder / "run.json").read_bytes() for folder in before}
+    assert all(
+        json.loads((folder / "run.json").read_text())["sees_truth"] for folder in made if folder.name != "length"
+    )
     assert open_run(run).digest() == digest
     assert list(runs_in([place])) == list(runs_in([tmp_path])) == listed
     record = explained(run)

@@ -75,6 +75,8 @@ def run_again(run: Run, folder: Path, name: str | None = None) -> str | None:
         return None
     if SOURCES.get(source_named(str(asked["cameras"]))) is None:
         return None
+    if "given" in asked or "more" in run.record["stage"].get("inputs", {}):  # novags explain makes these again
+        return None
     capture = os.path.relpath(place_of(run.path, run.record["capture"]), resolved(folder))
     words = ["novags", "reconstruct", capture, *_named(run.name, run.method, _with_own_weights(run, folder, asked))]
     if len(words) == 3:

@@ -253,7 +253,7 @@ def reconstruct_views(
         "method": variant.method,
         "title": title_of(variant.method, variant.title),
         "variant": dict(variant.settings),
-        "sees_truth": method.sees_clean or method.sees_surface,
+        "sees_truth": method.sees_clean or method.sees_surface or bool(config.given) or config.more is not None,
         "capture": recorded_place(folder, capture.path),
         **({"effects": sorted(capture.sensor.effects)} if capture.sensor and capture.sensor.effects else {}),
         "space": result.space,
