@@ -24,7 +24,7 @@ WRONG = {
     "INT": (LONG, LONGER, f"-{LONG}", str(2**64), str(2**63), str(2**31), "-1", "nan", "inf", "1e308", "1e3", ""),
     "FLOAT": (LONG, LONGER, "nan", "inf", "-inf", "1e308", "1e37", "-1", ""),
 }
-CALLED = {"denoiser-steps": "(denoiser-steps|warmup_steps)"}  # by the configuration
+CALLED = {"denoiser-steps": "(denoiser-steps|warmup_steps)", "score-at": "(score-at|keep_at)"}  # by the configuration
 MEANT = {"what": "render", "scene": "tabletop", "sensor": "ideal", "electrons": "9"}
 CALLED["tolerance"] = "(tolerance|sd)"  # as the planner calls it
 RIGHT = {("seed", str(2**63)), ("seed", str(2**31)), ("aperture-radius", "1e37"), ("focus-distance", "1e37")}

@@ -55,7 +55,9 @@ class _PseudoClean:
         """The image of a view, made anew if the denoiser has done so many steps since, or more."""
         if self.denoiser is not None and (view not in self.steps or self.denoiser.step - self.steps[view] >= age):
             with torch.no_grad():
-                self.images[view] = self.denoiser.denoise(view)
+                # Past autograd, which would refuse a graph that holds the image of another view. No graph holds an
+                # image that is made anew: that is done before its first use in an iteration.
+                self.images.data[view] = self.denoiser.denoise(view)
             self.steps[view] = self.denoiser.step
         return self.images[view]
 

@@ -82,19 +82,23 @@ def of_views(
     height, width = guide.shape[1:3]
     stride = _stride(width)
 
-    def one(view: int) -> Result:
+    def planes(view: int) -> tuple[np.ndarray, ...]:
         measured = data(view)
-        seen, known = (_planes(t.cpu().numpy()) for t in (guide[view], ~measured.isnan()))
-        values = _planes(measured.nan_to_num(0.0).cpu().numpy())
+        return tuple(_planes(t.cpu().numpy()) for t in (guide[view], measured.nan_to_num(0.0), ~measured.isnan()))
+
+    def summed(seen: np.ndarray, values: np.ndarray, known: np.ndarray) -> np.ndarray:
         # of itself a datum is w = 1 away
         sums = np.stack([values, known, known]) if own else np.zeros((3, values.size), np.float32)
         accumulate(seen, values, known, height, width, stride, patch, REACH, np.float32(1 / h**2), *sums)
         inner = sums.reshape(3, 3, height, stride)[..., MARGIN : MARGIN + width]
-        parts = np.ascontiguousarray(inner.transpose(0, 2, 3, 1))
-        return finish(view, Sums(*(torch.from_numpy(part).to(guide.device) for part in parts)))
+        return np.ascontiguousarray(inner.transpose(0, 2, 3, 1))
 
-    with ThreadPoolExecutor(min(torch.get_num_threads(), os.cpu_count() or 1)) as pool:
-        yield from pool.map(one, range(len(guide)))
+    count, threads = len(guide), min(torch.get_num_threads(), os.cpu_count() or 1)
+    with ThreadPoolExecutor(threads) as pool:
+        for begin in range(0, count, threads):
+            views = range(begin, min(begin + threads, count))
+            for view, parts in zip(views, pool.map(summed, *zip(*map(planes, views), strict=True)), strict=True):
+                yield finish(view, Sums(*(torch.from_numpy(part).to(guide.device) for part in parts)))
 
 
 def _planes(picture: np.ndarray) -> np.ndarray:

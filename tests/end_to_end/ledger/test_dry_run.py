@@ -62,7 +62,7 @@ def test_a_run_says_of_every_part_what_it_would_do(
     words = ("run", "--scene", "ball.xml", "--out", "all", "--methods", "naive", *SMALL, *SHORT)
     assert call(*words, "--dry-run") == 0
     said = capsys.readouterr().err
-    parts = ["render", "capture", "naive", "score naive", "run", "run", "run", "run"]
+    parts = ["render", "capture", "naive", "score naive", "run", "run", "run", "run", "run"]
     assert [line.split(":")[0] for line in said.splitlines()] == parts
     assert not Path("all").exists()
     assert call(*words) == 0
@@ -139,6 +139,8 @@ LINES = (
     Line(("score", "exp"), ("score: unchanged, kept exp/naive",)),
     Line(("score", "--renders", "renders", "--set", "set", "--out", "new/scores.json"),
          *made("new/scores.json", by="score")),
+    Line(("explain", "exp/naive", "--swaps", "noise"),
+         ("explain: 1 runs to make", *made("exp/naive/explain/explain.json", by="explain")[0])),
     Line(("report", "exp/naive"), *made("exp/naive/report.html", by="report")),
     Line(("report", "exp", "set/../exp", "--out", "new/all.html"), *made("new/all.html", by="report")),
     Line(("report", "light"), *made("light/report.html", "light/light.csv", by="report")),

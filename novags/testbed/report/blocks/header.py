@@ -21,7 +21,7 @@ APART = (
 
 def header(material: Material, page: Page) -> dict[str, Any]:
     """Title, the work done, the verdict in words and, of one place, in numbers."""
-    found: dict[str, Any] = {"title": material.title, "verdict": "", "cards": []}
+    found: dict[str, Any] = {"title": material.title, "verdict": "", "cards": [], "short": ""}
     if (place := material.one) is not None:
         seconds, found["verdict"] = sum(row["seconds"] for row in costs(material)), verdict(place)
         return {**found, "what": what_was_done(place, seconds), "cards": cards(place, seconds),
