@@ -4,6 +4,7 @@ import dataclasses
 import inspect
 import math
 import re
+import sys
 import types
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -17,6 +18,7 @@ from novags.methods import METHODS
 from novags.methods.variant import parse_variant
 from novags.numbers import check_range, number, shown
 from novags.settings import flattened
+from sensor_model.files import lock
 
 Call = Callable[..., int]
 LONG, LONGER = "9" * 400, "9" * 5000  # Python itself reads no more than 4300 digits
@@ -31,12 +33,17 @@ RIGHT = {("seed", str(2**63)), ("seed", str(2**31)), ("aperture-radius", "1e37")
 
 
 @pytest.fixture
-def nothing_begins(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def nothing_begins(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[None]:
     """Every command that comes to its work fails there, by an AssertionError, which is exit code 1."""
+    real = lock.locked
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("sensor_model.files.lock.locked", _begun)
     monkeypatch.setattr("novags.commands.shared.console", _begun)
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    yield
+    for module in list(sys.modules.values()):  # those that were imported meanwhile have the replacement
+        if vars(module).get("locked") is _begun:
+            module.locked = real  # type: ignore[attr-defined]
 
 
 def _begun(*_: object, **__: object) -> None:
