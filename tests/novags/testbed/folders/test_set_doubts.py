@@ -20,10 +20,10 @@ from novags.testbed.stages.configs.importing import ImportConfig
 from novags.testbed.stages.configs.posing import PosesConfig
 from sensor_model import PRESETS, Exposure, write_dng
 from simscenes import orbit_rig
-from simscenes.sets.readers.lens import DistortedPinhole
 from simscenes.sets.geometry.tracks import SparsePoints
 from simscenes.sets.multiview import load_set
 from simscenes.sets.pictures.png import write_png
+from simscenes.sets.readers.lens import DistortedPinhole
 from simscenes.sets.writers.camera_files import write_cameras
 from tests.miniatures import HEIGHT, RIG, VIEWS, WIDTH, lit_picture
 

@@ -116,7 +116,8 @@ def test_every_view_is_written_with_its_own_picture_and_doubted_by_its_own_name(
                                  file=files[k]) for k in range(5)]  # fmt: skip
     points = np.random.default_rng(0).normal(0, 0.2, (6, 3))
     seen = [SimpleNamespace(points=np.arange(6), pixels=np.full((6, 2), 4.0), rays=np.zeros((6, 2))) for _ in range(3)]
-    found: Any = SimpleNamespace(indices=[4, 0, 2], viewmats=rig.viewmats, lenses=[lens, lens, squeezed], points=points, seen=seen,
+    lenses = [lens, lens, squeezed]
+    found: Any = SimpleNamespace(indices=[4, 0, 2], viewmats=rig.viewmats, lenses=lenses, points=points, seen=seen,
                                  error=0.5)  # fmt: skip
     names = posing.write_set(tmp_path / "set", files, bare, found, (32, 24), "s")
     assert names == ["e", "a", "c"]

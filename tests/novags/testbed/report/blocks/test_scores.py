@@ -123,7 +123,8 @@ def test_every_run_that_is_scored_is_ranked(monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_a_line_of_several_axes_has_a_cell_for_each() -> None:
     material: Any = SimpleNamespace(looks={"a": look("a")}, commands={})
-    row = scores._line(line(3, "a", {"run": 1, "state": "done"}), material, SimpleNamespace(views={}), ("level", "scene"), (), "")
+    page: Any = SimpleNamespace(views={})
+    row = scores._line(line(3, "a", {"run": 1, "state": "done"}), material, page, ("level", "scene"), (), "")
     assert [cell.text for cell in row.cells[1:]] == ["a", 3, "s", "1"]
 
 
