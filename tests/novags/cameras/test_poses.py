@@ -185,6 +185,17 @@ def test_the_seed_reaches_matches_and_cameras(taken, tmp_path: Path, monkeypatch
     assert set(given) == {7}
 
 
+def test_every_picture_is_matched_with_all_later_ones(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    listed = list[str]()
+    monkeypatch.setattr(
+        pycolmap, "match_image_pairs",
+        lambda database, matching, pairing, *_, **rest: listed.append(Path(pairing.match_list_path).read_text()),
+    )  # fmt: skip
+    shots = [Shot(f"{name}.png", 0, None) for name in "abc"]
+    registration._match(pycolmap, tmp_path / "database.db", tmp_path, shots, False, 0, lambda *_: None)
+    assert listed == ["a.png b.png\na.png c.png\n", "b.png c.png\n"]
+
+
 def test_pictures_that_do_not_belong_together_are_refused_with_advice(tmp_path: Path) -> None:
     (tmp_path / "noise").mkdir()
     for i in range(3):

@@ -143,6 +143,19 @@ def test_noise_that_neighbours_share_is_seen_as_such(demosaic: str, least: float
     assert 10 * np.log10(found / blind).mean() > least - 1.5
 
 
+@pytest.mark.parametrize("channel", range(3))
+def test_noise_that_neighbours_share_in_any_channel_is_measured_farther_apart_in_all(
+    monkeypatch: pytest.MonkeyPatch, channel: int
+) -> None:
+    pictures = torch.rand(1, 32, 32, 3, generator=torch.Generator().manual_seed(0))
+    reaches = iter(3 if c == channel else 1 for c in range(3))
+    monkeypatch.setattr(noise_estimate, "_reach", lambda plane, eight_bit: next(reaches))
+    taken, binned = [], noise_estimate._binned
+    monkeypatch.setattr(noise_estimate, "_binned", lambda part, reach: taken.append(reach) or binned(part, reach))
+    estimate_noise(pictures)
+    assert taken == [3, 3, 3]
+
+
 @pytest.mark.parametrize(("ratios", "reach"), [([1.3] * 7 + [4.5], 1), ([1.7] * 8, 2), ([3.2] * 8, 3)])
 def test_one_range_with_texture_does_not_make_noise_shared(
     monkeypatch: pytest.MonkeyPatch, ratios: list[float], reach: int

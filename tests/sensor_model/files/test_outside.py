@@ -192,6 +192,22 @@ def test_the_content_of_a_package_is_that_of_all_its_modules(tmp_path: Path, mon
     assert len(seen) == 4
 
 
+def test_the_content_of_a_package_in_several_folders_is_that_of_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name, files = "several_folders_of_a_stranger", list[Path]()
+    for k in range(2):
+        (tmp_path / str(k) / name).mkdir(parents=True)
+        files.append(tmp_path / str(k) / name / f"part_{k}.py")
+        files[-1].write_text("x = 1\n")
+        monkeypatch.syspath_prepend(str(tmp_path / str(k)))
+    seen = {outside._content_of(name)}
+    for file in files:
+        file.write_text("x = 2\n")
+        seen.add(outside._content_of(name))
+    assert len(seen) == 3
+
+
 def test_a_worker_is_told_of_every_package_whose_rows_are_used(monkeypatch: pytest.MonkeyPatch) -> None:
     rows = {"mine": Outside(Origin("json-like", "1.2"), "json", "loads"),
             "yours": Outside(Origin("csv-like", "3"), "csv", "reader")}  # fmt: skip

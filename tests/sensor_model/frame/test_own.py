@@ -323,3 +323,9 @@ def test_the_pixel_that_is_moved_most_says_how_far_effects_reach_and_the_worst_s
     sd, mean, title = own.costs(camera, EXPOSURE, signal, kept)["ripple"]
     assert (sd, mean) == pytest.approx((0.01 * (500.0**2 + 500.0) / 100, 0.5 * 24))
     assert title.startswith("ripple")
+
+
+def test_an_effect_that_is_not_there_is_named_wherever_it_stands() -> None:
+    assert own.missing(["ripple"]) is None
+    for names in (["ripple", "nothing"], ["nothing", "ripple"]):
+        assert "nothing" in (own.missing(names) or "")

@@ -130,3 +130,12 @@ def test_cameras_of_a_scene_with_two_lenses_need_one_for_all() -> None:
         own_cameras(both)
     both.pop("third")
     assert len(own_cameras(both)) == 1
+
+
+def test_cameras_of_a_scene_with_films_of_two_sizes_need_one_for_all() -> None:
+    mi = activate()
+    pose = mi.ScalarTransform4f().look_at([2, -3, 2], [0, 0, 0], [0, 0, 1])
+    film = {"type": "hdrfilm", "width": 12, "height": 8}
+    both = scene({}) | {"second": {"type": "perspective", "fov": 50.0, "to_world": pose, "film": film}}
+    with pytest.raises(ValueError, match=r"has sensors of 2 sizes, \(12, 8\) to \(100, 80\): one set has pictures"):
+        own_cameras(both)

@@ -223,6 +223,16 @@ def test_poses_for_llff_are_read_back_as_the_cameras(mkdirs: Path) -> None:
     assert sizes[0] == (SIZE[1], SIZE[0], pytest.approx(views.rig.Ks[0, 0, 0]))
 
 
+def test_every_view_of_the_blender_scene_is_listed_and_written_in_its_part(mkdirs: Path) -> None:
+    views, _ = make_set(mkdirs)
+    folder = export_blender(views, mkdirs / "blender")
+    held_out, rest = ["0000", "0008"], [f"000{i}" for i in range(1, 8)]
+    for part, names in (("train", rest), ("val", held_out), ("test", held_out)):
+        frames = json.loads((folder / f"transforms_{part}.json").read_text())["frames"]
+        assert [frame["file_path"] for frame in frames] == [f"./{part}/{name}" for name in names]
+        assert sorted(path.stem for path in (folder / part).iterdir()) == names
+
+
 def test_blender_pictures_are_transparent_where_no_surface_is(mkdirs: Path) -> None:
     views, _ = make_set(mkdirs)
     folder = export_blender(views, mkdirs / "blender")

@@ -1,6 +1,7 @@
 """Set folders: what is written is what COLMAP and we read, and foreign folders are read right or refused."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -61,6 +62,13 @@ def test_pycolmap_reads_the_folder_with_exact_reprojection(written: tuple) -> No
     assert max(errors) < 1e-4
     tracks = {tuple(np.round(p.xyz, 9)): p.track.length() for p in model.points3D.values()}
     assert max(tracks.values()) <= visible.sum(0).max()
+
+
+def test_every_view_that_has_another_name_than_its_file_is_told_with_the_file(written: tuple) -> None:
+    views = load_set(written[0])
+    files = [file if k in (0, 3) else file.with_stem(f"odd {k}") for k, file in enumerate(views.files)]
+    found = replace(views, files=tuple(files)).renamed
+    assert found == {name: f"images/odd {k}.png" for k, name in enumerate(views.names) if k not in (0, 3)}
 
 
 def test_written_cameras_come_back_exactly(written: tuple) -> None:

@@ -16,6 +16,8 @@ from simscenes.job.identity import plan_identity
 from simscenes.loading.load import LoadedScene, build_scene, set_light_weights
 from simscenes.render.radiance import RenderedView, RenderMethod
 from simscenes.render.sequences import Radiance
+from simscenes.rigs import intrinsics, look_at
+from simscenes.transport import lights
 from simscenes.transport.lights import in_even_parts, light_weights
 
 pytestmark = pytest.mark.usefixtures("jit")
@@ -139,3 +141,24 @@ def test_a_planned_render_is_bit_identical_when_repeated_resumed_and_reordered(t
     mixed = Rig(viewmats=views.viewmats[order], Ks=views.Ks[order], width=views.width, height=views.height)
     reordered = job("c", mixed)
     assert all(np.array_equal(first[f"{i:04d}"], reordered[f"{k:04d}"]) for k, i in enumerate(order))
+
+
+def test_a_lamp_is_seen_from_both_sides_of_its_diagonal() -> None:
+    """Boards below two quarters of a lamp hide its diagonal from a far point below it, and half of its light."""
+    mi = activate()
+    t = mi.ScalarTransform4f()
+    glow = {"type": "area", "radiance": {"type": "rgb", "value": 9.0}}
+    lamp = {"type": "rectangle", "to_world": t.translate([0, 0, 20]).rotate([1, 0, 0], 180), "emitter": glow}
+    floor = {"type": "rectangle", "to_world": t.scale(0.01), "bsdf": {"type": "diffuse"}}
+
+    def light(*boards: tuple[float, float]) -> float:
+        shapes = {f"board {k}": {"type": "rectangle", "to_world": t.translate([*place, 19.9]).scale(0.5)}
+                  for k, place in enumerate(boards)}  # fmt: skip
+        loaded = build_scene({"type": "scene", "lamp": lamp, "floor": floor, **shapes}, mi)
+        pose = look_at((0, 0, 0.5), (0, 0, 0), (0, 1, 0))
+        rig = Rig(viewmats=pose[None], Ks=intrinsics(16, 16, 1)[None], width=16, height=16)
+        return float(lights._direct_light(mi, loaded, rig, 0, 1, 0).mean())
+
+    whole = light()
+    assert light((-0.5, -0.5), (0.5, 0.5)) == pytest.approx(whole / 2, rel=0.2)
+    assert light((-0.5, 0.5), (0.5, -0.5)) == pytest.approx(whole / 2, rel=0.2)

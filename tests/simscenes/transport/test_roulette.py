@@ -9,11 +9,12 @@ from simscenes import Rig, default_rig
 from simscenes.backend import activate, backend_of
 from simscenes.loading.load import build_scene
 from simscenes.loading.reference import SceneRef
+from simscenes.render import wavefront
 from simscenes.render.radiance import RenderedView, RenderMethod
 from simscenes.rigs import intrinsics, look_at
 from simscenes.transport.effects import roulette_effect
 from simscenes.transport.pilot import Pilot, pilot_rig
-from simscenes.transport.roulette import MOST_SURVIVE, TOGETHER, most_efficient, path_lengths, path_noise
+from simscenes.transport.roulette import MOST_SURVIVE, SPP, TOGETHER, most_efficient, path_lengths, path_noise
 
 
 def inside_a_ball(albedo: float) -> tuple[Any, Any, Rig]:
@@ -113,6 +114,19 @@ def test_the_noise_of_paths_is_that_of_pixels_as_small_as_those_of_the_views(par
     assert (found[..., 2] > 0).any() == (part == 1)
     again = path_noise(mi, build_scene(scene, mi), rig, integrators[:1], part, seed=1)
     assert (again.reshape(3, 5)[:, 2] != found[0, :, 2]).any() == (part == 1)
+
+
+@pytest.mark.usefixtures("jit")
+def test_the_noise_of_paths_is_that_of_all_pixels_when_they_are_traced_in_parts(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    mi, loaded, rig = inside_a_ball(0.5)
+    integrators = [{"type": "path", "max_depth": 6, "rr_depth": 1}]
+    whole = path_noise(mi, loaded, rig, integrators, 1.0, seed=0)
+    assert whole.shape == (1, 16)
+    assert whole.min() > 1e-9
+    monkeypatch.setattr(wavefront, "MAX_WAVEFRONT", 5 * 2 * SPP)
+    np.testing.assert_allclose(path_noise(mi, loaded, rig, integrators, 1.0, seed=0), whole, rtol=1e-4)
 
 
 @pytest.mark.usefixtures("jit")

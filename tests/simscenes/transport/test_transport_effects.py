@@ -284,3 +284,15 @@ def test_any_colour_of_the_extinction_makes_a_medium_chromatic(coloured: int) ->
     assert effects._is_chromatic(mi, plain | {"sigma_t.first": parts[0], "sigma_t.second": parts[1]})
     grid = np.stack([np.full((2, 2, 2), share) for share in (0.5, 0.5, 0.6)], -1)
     assert effects._is_chromatic(mi, plain | {"sigma_t.first": grey, "sigma_t.grid": grid})
+
+
+def test_materials_that_let_light_of_points_pass_are_found_among_others() -> None:
+    """A shadow ray of a lamp of some size may be missed: paths find that lamp by chance as well."""
+    mi = activate()
+    lamp = {"type": "point", "intensity": 1.0}
+    mask = {"type": "mask", "opacity": 0.5, "nested": {"type": "diffuse"}}
+    shapes = {name: {"type": "sphere", "bsdf": bsdf} for name, bsdf in
+              (("a", {"type": "diffuse"}), ("b", mask), ("c", {"type": "thindielectric"}))}  # fmt: skip
+    found = effects.screens_before_points(mi.load_dict({"type": "scene", "lamp": lamp, **shapes}), mi)
+    assert found == ["MaskBSDF", "ThinDielectric"]
+    assert effects.screens_before_points(mi.load_dict({"type": "scene", **shapes}), mi) == []

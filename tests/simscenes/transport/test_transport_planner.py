@@ -258,3 +258,13 @@ def test_the_scenes_own_integrator_is_kept_unless_overridden(asked: dict[str, An
         planned(loaded=other)
     plain = planner.default_plan(Optics(), own)
     assert plain.integrator() == {"type": "volpath", "max_depth": 12, "rr_depth": 7, "hide_emitters": True}
+
+
+def test_all_that_a_scene_with_unknown_plugins_supports_is_on_with_the_reason() -> None:
+    p: Any = SimpleNamespace(loads=lambda color: color == "spectral")
+    names = ("indirect light", "paths beyond max_depth", "participating media", "spectral transport", "polarisation",
+             "motion blur")  # fmt: skip
+    found = planner.in_full([decision(name) for name in names], p, ["Fluff", "Stuff"])
+    assert {effect.name: effect.on for effect in found} == dict(zip(names, (True,) * 4 + (False,) * 2, strict=True))
+    assert {effect.reason for effect in found[:4]} == {"the planner does not know Fluff, Stuff: simulated fully"}
+    assert found[5].reason == "found"

@@ -2,6 +2,8 @@
 
 import math
 import statistics
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 import torch
@@ -147,3 +149,19 @@ def test_opacities_follow_the_equation_and_extremes_stay_finite() -> None:
     assert bool(torch.isfinite(found.logit_opacities).all())
     torch.testing.assert_close(found.means, torch.cat([a.means, b.means]))
     torch.testing.assert_close(found.sh, torch.cat([a.sh, b.sh]))
+
+
+def test_the_mean_over_all_seeds_of_each_stage_is_judged(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(trainer, "mean_tone", lambda tones, curve: tuple(tones))
+    monkeypatch.setattr(trainer, "non_local_means", lambda guide, h: guide)
+    judged = list[Any]()
+    work: Any = SimpleNamespace(
+        config=SimpleNamespace(bandwidth=1.0, seeds=3), found={}, curve=None, weights=lambda guide: None,
+        targets=lambda guide, h: "targets", _tones=lambda gaussians: gaussians, _first=lambda: None,
+        _config=lambda stage, seed: None, _worse=lambda stage, after, before, weights: judged.append((after, before)),
+        _fit=lambda stage, seed, *_: SimpleNamespace(gaussians=f"second {seed}"),
+    )  # fmt: skip
+    firsts: Any = [f"first {seed}" for seed in range(3)]
+    seconds = [f"second {seed}" for seed in range(3)]
+    assert trainer._Work.structure(work, firsts) == (seconds, "targets")
+    assert judged == [(tuple(seconds), tuple(firsts))]

@@ -271,6 +271,7 @@ def test_info_has_the_numbers_of_the_reference_packed_or_not(make_scene, mode):
 def test_sparse_gradients_are_the_dense_ones_of_what_is_visible(make_scene):
     scene = as_float32(make_scene(44, 200, 18, 16, cameras=2))
     scene["means"][:50, 0] += 30
+    scene["viewmats"][0, 0, 3] += 3.0  # to the side, where it sees fewer than the second
     found = []
     for sparse in (False, True):
         leaves = {name: scene[name].clone().requires_grad_() for name in ("means", "quats", "scales", "opacities")}
@@ -283,6 +284,8 @@ def test_sparse_gradients_are_the_dense_ones_of_what_is_visible(make_scene):
         assert torch.equal(sparse[name].to_dense(), dense[name])
         assert torch.equal(sparse[name].coalesce().indices()[0], torch.unique(info["gaussian_ids"]))
     assert len(sparse["means"].coalesce().values()) < 155
+    seen = [set(info["gaussian_ids"][info["camera_ids"] == c].tolist()) for c in range(2)]
+    assert seen[1] - seen[0]
 
 
 def test_a_loss_of_the_centres_themselves_is_refused_on_the_kernels_and_right_on_the_reference(make_scene):

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from novags.splats import FitConfig, Gaussians, LearningRates, McmcConfig, NotFinite, Step, Views, fit, rasterize
-from novags.splats.training.companion import Companion
+from novags.splats.training.companion import Companion, masked_step
 
 SIZE = 20
 STILL = LearningRates(
@@ -198,3 +198,13 @@ def test_wrong_companions_and_features_are_refused() -> None:
     start, _, _ = scene()
     with pytest.raises(ValueError, match=r"features must be \[N=120, F\] or None, got \[119, 2\]"):
         dataclasses.replace(start, features=torch.zeros(119, 2))
+
+
+def test_a_masked_step_changes_no_parameter_of_any_group() -> None:
+    both = [nn.Parameter(torch.zeros(2)) for _ in range(2)]
+    adam = torch.optim.Adam([{"params": [one], "lr": 0.1} for one in both])
+    for bad, moved in ((1.0, False), (0.0, True)):
+        for one in both:
+            one.grad = torch.ones(2)
+        masked_step(adam, torch.tensor(bad))
+        assert [bool(one.any()) for one in both] == [moved, moved]

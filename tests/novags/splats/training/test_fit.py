@@ -4,6 +4,7 @@ import dataclasses
 import importlib
 import math
 import sys
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -379,3 +380,13 @@ def test_relocation_growth_noise_and_the_first_cut_draw_by_the_seed(monkeypatch)
         fit(start, views, lambda i: images[i], config(iterations=4, cap_max=30, mcmc=mcmc, seed=seed))
     assert {name for name, _ in drawn} == set(originals)
     assert len(set(drawn)) == len(drawn)
+
+
+def test_numbers_that_are_read_later_have_every_loss():
+    """As on a GPU, where entries of the log wait for the next reading."""
+    start, _, _ = problem(20)
+    state = SimpleNamespace(iteration=3, gaussians=start, losses=[])
+    later = SimpleNamespace(keep=lambda numbers, deliver: deliver(numbers.tolist()))
+    sys.modules["novags.splats.training.fit"]._log(state, config(), (torch.tensor(0.5), 0.25), None, "", later)
+    (entry,) = state.losses
+    assert (entry["iteration"], entry["n_gaussians"], entry["loss"], entry["photometric"]) == (3.0, 20.0, 0.5, 0.25)

@@ -2,6 +2,7 @@
 
 import base64
 import hashlib
+import io
 import json
 import shutil
 import struct
@@ -15,6 +16,7 @@ from novags.testbed.dataset.nerfbaselines import _method_of, export_results
 from novags.testbed.folders.capture import open_capture
 from novags.testbed.folders.run import open_run
 from novags.testbed.ledger.contents import read_json
+from novags.testbed.ledger.dry import dry_run
 from simscenes.sets.pictures.png import read_png
 from tests.fuzz.readers.records import make_run
 
@@ -93,6 +95,15 @@ def test_the_table_has_every_method_scene_and_score_and_means_over_scenes(
         for name in metrics:
             assert method[name] == pytest.approx(np.mean([r["metrics"][name] for r in records]), abs=2e-5)
         assert method["total_train_time"] == 2.0
+
+
+def test_a_dry_run_names_the_files_of_every_run(experiments: list[Path], tmp_path: Path) -> None:
+    stream = io.StringIO()
+    with dry_run():
+        export_results(experiments, tmp_path / "out", Console(stream=stream))
+    for method in METHODS:
+        for scene in scenes(experiments):
+            assert f"to be made in {tmp_path}/out/{method}/{scene}: results.json" in stream.getvalue()
 
 
 def test_a_method_that_lacks_a_scene_has_no_means(experiments: list[Path], tmp_path: Path) -> None:

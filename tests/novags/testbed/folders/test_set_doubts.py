@@ -5,6 +5,7 @@ import io
 import shutil
 import struct
 import zlib
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -13,14 +14,16 @@ import pytest
 
 from novags.testbed import stages
 from novags.testbed.console.terminal import Console
-from novags.testbed.folders.set import open_source
+from novags.testbed.folders.set import for_photographs, open_source, source_of
 from novags.testbed.stages.configs.capturing import CaptureConfig
 from novags.testbed.stages.configs.importing import ImportConfig
 from novags.testbed.stages.configs.posing import PosesConfig
 from sensor_model import PRESETS, Exposure, write_dng
 from simscenes import orbit_rig
 from simscenes.sets.geometry.tracks import SparsePoints
+from simscenes.sets.multiview import load_set
 from simscenes.sets.pictures.png import write_png
+from simscenes.sets.readers.lens import DistortedPinhole
 from simscenes.sets.writers.camera_files import write_cameras
 from tests.miniatures import HEIGHT, RIG, VIEWS, WIDTH, lit_picture
 
@@ -135,3 +138,18 @@ def test_pictures_developed_from_raw_files_are_held_against_their_cameras(tmp_pa
         stream = io.StringIO()
         stages.import_photographs(tmp_path / folder, tmp_path / f"{folder}-out", ImportConfig(), Console(stream=stream))
         assert ("do not show what their cameras say" in stream.getvalue()) == (folder == "shifted"), stream.getvalue()
+
+
+def test_the_lens_of_every_view_is_looked_at(tmp_path: Path) -> None:
+    """The last two of nine lenses are squeezed; pictures without distortion hide that from the cameras of the set."""
+    stream = io.StringIO()
+    views = load_set(model(tmp_path / "set", None))
+    squeezed = RIG.Ks[0] * [[2.0], [1.0], [1.0]]
+    of = [RIG.Ks[0]] * (VIEWS - 2) + [squeezed] * 2
+    lenses = [DistortedPinhole(K=K, distortion=(0.0,) * 5) for K in of]
+    source_of(replace(views, lenses=tuple(lenses)), Console(stream=stream))
+    assert f"2 of {VIEWS} cameras have another focal length along x than along y" in stream.getvalue()
+
+
+def test_results_of_photographs_depend_on_their_readers_and_on_what_looks_at_them() -> None:
+    assert {"novags.cameras.matching", "simscenes.sets.readers.llff"} <= set(for_photographs())

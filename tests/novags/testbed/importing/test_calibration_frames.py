@@ -223,6 +223,17 @@ def test_noise_below_a_code_is_said(read_noise: float, said: bool, tmp_path: Pat
     assert ["its noise is below a code" in str(w.message) for w in caught] == [True] * said
 
 
+@pytest.mark.parametrize("still", [0, 1])
+def test_noise_below_a_code_in_one_of_several_dark_stacks_is_said(still: int, tmp_path: Path) -> None:
+    write_stacks(tmp_path, one_npy, more='[stacks."dark/1"]\ntime = 2.0')
+    (tmp_path / "dark" / "1").mkdir()
+    for k in range(2):
+        noise = np.random.default_rng(k).normal(64.5, 0.1 if k == still else 3.0, LIGHT.shape)
+        one_npy(tmp_path / "dark" / f"{k}", np.floor(noise).astype(np.uint16))
+    with pytest.warns(UserWarning, match="its noise is below a code"):
+        read_frames(tmp_path)
+
+
 @pytest.mark.parametrize("said", ["RGGB", "BGGR", "GRBG", "GBRG"])
 def test_filters_that_are_said_a_row_or_a_column_beside_are_refused(said: str, tmp_path: Path) -> None:
     """Behind RGGB, which codes alone do not tell from BGGR; green would be measured as red or blue."""

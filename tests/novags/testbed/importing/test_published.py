@@ -13,7 +13,8 @@ import pytest
 from novags.testbed import stages
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import Capture, open_capture
-from novags.testbed.importing.published.datasets import dataset_of, scenes_below
+from novags.testbed.importing.published.datasets import DATASETS, dataset_of, expected, scenes_below
+from novags.testbed.importing.published.lom import open_scene
 from novags.testbed.stages.configs.importing import ImportConfig
 from simscenes.rigs import opencv_to_opengl
 from simscenes.sets.pictures.png import read_png, write_png
@@ -340,3 +341,20 @@ def test_lens_distortion_of_the_model_is_undone_in_dark_and_lit_pictures_alike(t
     ):  # fmt: skip
         shown = np.round(255 * found) if found.dtype != np.uint8 else found
         np.testing.assert_array_equal(shown, cv2.undistort(picture, K, lens, newCameraMatrix=new))
+
+
+def test_every_data_set_that_is_absent_is_told_where_to_get() -> None:
+    said = expected(DATASETS)
+    for name, dataset in DATASETS.items():
+        assert f"{name}: {dataset.layout} ({dataset.home})" in said
+
+
+def test_one_distorted_lens_of_lom_is_undone_wherever_it_stands(tmp_path: Path) -> None:
+    folder = lom(tmp_path / "buu")
+    path = folder / "transforms_test.json"
+    content = json.loads(path.read_text())
+    content["frames"][-1]["k1"] = 0.1
+    path.write_text(json.dumps(content))
+    scene = open_scene(folder, "own")
+    assert scene.lenses is not None
+    assert [lens.distortion[0] for lens in scene.lenses if any(lens.distortion)] == [0.1]

@@ -247,6 +247,7 @@ FILES = {
     "e": "import small_tree.f\nimport small_tree.g\n\nY = 1\n",
     "f": "def register(): ...\n\nregister()\n",
     "g": "for k in range(3):\n    print(k)\n",
+    "i": "from small_tree.b import one\nfrom small_tree.d import six\n",
     "h": "def star(): ...\n\ndef stripe(): ...\n",
 }  # fmt: skip
 
@@ -282,6 +283,21 @@ def test_all_that_any_definition_uses_counts_at_any_depth_and_nothing_else(
     assert tree("a") == {"a": {"X", "main"}, "b": {"one", "two", "first", "second"}, "c": {"P", "Q", "three"},
                          "d": {"four", "five"}, "h": {"star", "stripe"}}  # fmt: skip
     assert tree("d", "h") == {"d": {"four", "five", "six"}, "h": {"star", "stripe"}}
+
+
+def test_every_name_that_a_module_of_use_hands_on_counts(tree: Callable[..., dict[str, set[str]]]) -> None:
+    assert tree("i") == {"b": {"one", "first"}, "d": {"six"}}
+
+
+def test_the_version_of_the_code_is_of_every_module_that_results_may_depend_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    from novags.testbed.ledger import code
+
+    seen = list[frozenset[str]]()
+    monkeypatch.setattr(code, "_code_of", lambda names: seen.append(names) or SimpleNamespace(key="k"))
+    assert code.version.__wrapped__() == "k"
+    (names,) = seen
+    assert {"novags", "novags.methods", "simscenes.rigs", "sensor_model.noise"} <= names
+    assert not {name for name in names if name.startswith(OUTSIDE)}
 
 
 @pytest.mark.usefixtures("tree")

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from novags.testbed.ledger.store import key_of, read_seal, write_seal
+from novags.testbed.ledger.store import SEAL, key_of, other_entries, read_seal, write_seal
 
 COST: dict[str, Any] = {
     "seconds": {"work": 1.0},
@@ -52,3 +52,12 @@ def test_a_seal_knows_every_file_and_record_of_its_entry(name: str, tmp_path: Pa
     changed = write_seal(tmp_path, "key", {"set": "abc"}, COST, records)
     assert changed.content != sealed.content
     assert {record for record in records if changed.records[record] != sealed.records[record]} == {name}
+
+
+def test_entries_of_none_of_several_keys_are_counted(tmp_path: Path) -> None:
+    keys = [character * 20 for character in "abc"]
+    for key in keys:
+        folder = tmp_path / "run" / f"naive-{key[:16]}"
+        folder.mkdir(parents=True)
+        (folder / SEAL).touch()
+    assert [other_entries(tmp_path, set(keys[:k])) for k in range(4)] == [3, 2, 1, 0]

@@ -9,7 +9,7 @@ from novags.testbed.console.terminal import Console
 from novags.testbed.ledger import stage as stages
 from novags.testbed.ledger.code import Code
 from novags.testbed.ledger.contents import write_json
-from novags.testbed.ledger.dry import dry_run
+from novags.testbed.ledger.dry import dry_run, planned
 
 CODE = Code({"a.py": "1", "b.py": "1"}, {"a.py": "whole 1", "b.py": "whole 1"})
 
@@ -95,3 +95,12 @@ def test_a_result_whose_code_was_not_recorded_is_not_replaced_unasked(tmp_path: 
     with pytest.raises(ValueError, match=r"made by novags [\d.]+, which recorded no code"):
         stage(tmp_path, writes(tmp_path, []), overwrite=False)
     assert stage(tmp_path, writes(tmp_path, []))["answer"] == 42
+
+
+def test_every_file_that_would_be_made_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "b.txt").touch()
+    with dry_run():
+        planned(Console(), "toy", [tmp_path / "a.txt", tmp_path / "b.txt"])
+    text = said(capsys).replace(" ", "")
+    assert f"toy:tobemadein{tmp_path}:a.txt(" in text
+    assert f"toy:tobemadeagainin{tmp_path}:b.txtisthere(" in text

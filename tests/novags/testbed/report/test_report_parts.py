@@ -121,6 +121,15 @@ def test_a_score_that_a_later_view_has_alone_is_told_of_all_views() -> None:
     assert found["scores"]["psnr"]["spread"]["mean"] == [25.0]
 
 
+def test_a_view_that_a_later_method_has_alone_has_its_row() -> None:
+    methods = {name: {"mean": {"lit": {"psnr": 1}}, "views": {view: {"lit": {"psnr": 20.0}} for view in of}}
+               for name, of in (("a", "0"), ("b", "01"))}  # fmt: skip
+    found = per_view({"methods": methods}, "lit")
+    assert found is not None
+    assert found["views"] == ["0", "1"]
+    assert found["scores"]["psnr"]["values"] == [[20.0, 20.0], [None, 20.0]]
+
+
 def test_the_spread_over_views_is_that_of_the_views() -> None:
     views = {f"{k}": {"enhanced": {"aligned_psnr": value, "flip": value / 10, "lpips": None}}
              for k, value in enumerate((20.0, 26.0, 23.0))}  # fmt: skip

@@ -17,7 +17,7 @@ import pytest
 from novags.testbed import stages
 from novags.testbed.console.terminal import Console
 from novags.testbed.dataset.nerfbaselines import checksum, encoded, export_results
-from novags.testbed.importing.programs import output_of, run_program
+from novags.testbed.importing.programs import _status, output_of, run_program
 from novags.testbed.stages import command
 from novags.testbed.stages.command import run_command
 from novags.testbed.stages.configs.capturing import CaptureConfig
@@ -331,3 +331,8 @@ def test_a_run_of_a_capture_or_set_that_changed_while_its_program_was_at_work_is
     changed = "capture" if part == "capture" else "set"
     with pytest.raises(ValueError, match=f"the {changed} that it reads changed while"):
         run_command(tmp_path / "copy" / "capture", tmp_path / "run", method(tmp_path, "a = 1"), QUIET)
+
+
+def test_a_process_tells_what_it_holds_and_the_most_it_has_held() -> None:
+    now, most = _status(os.getpid())
+    assert 0 < now <= most

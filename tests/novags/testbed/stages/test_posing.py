@@ -107,6 +107,7 @@ def test_every_view_is_written_with_its_own_picture_and_doubted_by_its_own_name(
     """Of five photographs three have a camera: the fifth, the first and the third."""
     rig = orbit_rig(3, 32, 24, 50.0, radius=3.0)
     lens = DistortedPinhole(K=rig.Ks[0], distortion=(0.0,) * 5)
+    squeezed = DistortedPinhole(K=rig.Ks[0] * [[2.0], [1.0], [1.0]], distortion=(0.0,) * 5)
     codes = [np.full((24, 32, 3), 40 * k, np.uint8) for k in range(5)]
     files = [tmp_path / f"{name}.png" for name in "abcde"]
     for k, file in enumerate(files):
@@ -115,7 +116,8 @@ def test_every_view_is_written_with_its_own_picture_and_doubted_by_its_own_name(
                                  file=files[k]) for k in range(5)]  # fmt: skip
     points = np.random.default_rng(0).normal(0, 0.2, (6, 3))
     seen = [SimpleNamespace(points=np.arange(6), pixels=np.full((6, 2), 4.0), rays=np.zeros((6, 2))) for _ in range(3)]
-    found: Any = SimpleNamespace(indices=[4, 0, 2], viewmats=rig.viewmats, lenses=[lens] * 3, points=points, seen=seen,
+    lenses = [lens, lens, squeezed]
+    found: Any = SimpleNamespace(indices=[4, 0, 2], viewmats=rig.viewmats, lenses=lenses, points=points, seen=seen,
                                  error=0.5)  # fmt: skip
     names = posing.write_set(tmp_path / "set", files, bare, found, (32, 24), "s")
     assert names == ["e", "a", "c"]
@@ -128,6 +130,7 @@ def test_every_view_is_written_with_its_own_picture_and_doubted_by_its_own_name(
     said = " ".join(posing._doubts([f.name for f in files], bare, found, (32, 20)))
     assert asked["own"] == ["e.png", "a.png", "c.png"]
     assert asked["seen"] == [6, 6, 6]
+    assert "1 of 3 cameras have another focal length along x than along y" in said
     assert "2 of 5 photographs are turned" in said
     assert "5 of 5 photographs are of another shape" in said
     assert "1 of 5 photographs are copies of another one (e.png and a.png)" in said

@@ -49,6 +49,12 @@ def test_a_pattern_stands_for_the_scenes_that_are_there_and_what_is_absent_leave
     assert study.cells[0].preset.dark == data / "lom" / "buu"
 
 
+def test_any_scene_that_is_there_is_enough_wherever_it_is_listed(tmp_path: Path, data: Path) -> None:
+    study = read(tmp_path, '["data:LLRS/*", "data:LOM/buu"]', data)
+    assert scenes(study) == ["data:LOM/buu"]
+    assert study.absent == ("LLRS",)
+
+
 def test_dark_scenes_are_imported_once_for_all_methods_and_seeds_and_nothing_is_rendered(
     tmp_path: Path, data: Path
 ) -> None:

@@ -385,6 +385,9 @@ def test_files_behind_a_link_are_read_where_links_may_lead(tmp_path: Path) -> No
     with given([str(inside)]):
         allow([outside])
         assert read_document(inside / "s.gltf").files == (inside / "s.gltf", outside / "b.bin")
+        pictures = content | {"images": [{"uri": f"{k}.png"} for k in range(2)]}
+        (inside / "s.gltf").write_text(json.dumps(pictures))
+        assert read_document(inside / "s.gltf").files[1:] == (outside / "b.bin", inside / "0.png", inside / "1.png")
         (inside / "s.gltf").write_text(json.dumps(content).replace("b.bin", "../outside/b.bin"))
         with pytest.raises(ValueError, match="outside its folder"):
             read_document(inside / "s.gltf")

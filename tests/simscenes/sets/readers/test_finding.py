@@ -39,6 +39,11 @@ def test_case_is_overlooked_where_one_file_is_left_that_nobody_else_lists(tmp_pa
     assert find_file(folder, "images/straße.png") is None
 
 
+def test_a_picture_listed_without_its_suffix_is_found_beside_one_in_capitals(tmp_path: Path) -> None:
+    folder = touched(tmp_path, "images/a.png", "images/A.png")
+    assert find_file(folder, "images/a") == folder / "images/a.png"
+
+
 def test_another_suffix_is_not_taken_and_is_said(tmp_path: Path) -> None:
     folder, listed = (
         touched(tmp_path, "images/a.png", "images/b.TIF", "images/c.txt"),

@@ -13,7 +13,7 @@ from simscenes.rigs import opencv_to_opengl
 from simscenes.sets.multiview import MultiviewSet
 from simscenes.sets.pictures.png import write_png
 from simscenes.sets.readers.photographs import names_for_testing, transforms_frames
-from simscenes.sets.readers.split import places_of
+from simscenes.sets.readers.split import places_of, split_of
 from simscenes.sets.writers.camera_files import write_cameras
 
 VIEWS, SIZE = 10, 16
@@ -160,3 +160,11 @@ def test_the_same_text_counts_before_the_same_path_and_that_before_another_suffi
     assert places_of(["./a.png", "a.png"], ["a.png", "./a.png"], tmp_path) == [[1], [0]]
     assert places_of(["./b.png"], ["b", "b.png"], tmp_path) == [[1]]
     assert places_of(["./lost.jpg"], ["b.png", "lost"], tmp_path) == [[1]]
+
+
+def test_a_list_means_every_frame_of_the_name_that_it_has() -> None:
+    content = {"frames": [{"file_path": name} for name in ("a.png", "b.png", "a.png", "c.png")],
+               "train_filenames": ["b.png"], "test_filenames": ["a.png", "c.png"]}  # fmt: skip
+    found = split_of(content, Path("transforms.json"))
+    assert found is not None
+    assert (found.train, found.test) == ({1}, {0, 2, 3})

@@ -119,3 +119,23 @@ def test_every_run_that_is_scored_is_ranked(monkeypatch: pytest.MonkeyPatch) -> 
     ]
     assert [row.attributes["data-command"] for row in found] == [None, "novags b", None]
     assert [column.heading for column in table.columns][-2:] == ["Over a", "Recovered"]
+
+
+def test_a_line_of_several_axes_has_a_cell_for_each() -> None:
+    material: Any = SimpleNamespace(looks={"a": look("a")}, commands={})
+    page: Any = SimpleNamespace(views={})
+    row = scores._line(line(3, "a", {"run": 1, "state": "done"}), material, page, ("level", "scene"), (), "")
+    assert [cell.text for cell in row.cells[1:]] == ["a", 3, "s", "1"]
+
+
+def test_every_kind_of_scores_that_is_missing_is_said_with_its_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(scores, "ranked_table", lambda *_: None)
+    why = {"enhanced": "no clean exposures", "lit": "no lit pictures", "geometry": "not of views"}
+    metrics = {"recovered": {}, "recovered_lit": {}, "unavailable": why, "methods": {}}
+    place: Any = SimpleNamespace(
+        metrics=metrics, deltas=lambda kind: ({}, ""), rows={}, one_reference=True, exposures=(),
+        capture=SimpleNamespace(imported=None), lit=SimpleNamespace(views=SimpleNamespace(kind="rendered")),
+    )  # fmt: skip
+    material: Any = SimpleNamespace(one=place, made={}, commands={})
+    found = scores.scores(material, SimpleNamespace(data={}))  # type: ignore[arg-type]
+    assert found["unscored"] == ["no clean exposures", "no lit pictures"]

@@ -96,13 +96,13 @@ def test_between_two_measured_settings_others_follow_the_logarithm_of_their_shar
 
 def test_curves_of_two_methods_are_united_at_the_shares_of_either_and_their_losses_averaged() -> None:
     """Halfway between the shares 1/4 and 1, in the logarithm, the first has lost half as much."""
-    one = [Option("x", 0.25, {"fit": 0.25}, 2.0, 0.1), Option("x", 1.0, {"fit": 1.0}, 0.0, 0.0)]
-    two = [Option("x", 0.5, {"nerf": 0.4}, 3.0, 0.3), Option("x", 1.0, {"nerf": 1.0}, 0.0, 0.0)]
+    one = [Option("x", 0.25, {"fit": 0.25, "render": 0.3}, 2.0, 0.1), Option("x", 1.0, {"fit": 1.0}, 0.0, 0.0)]
+    two = [Option("x", 0.5, {"nerf": 0.4, "sort": 0.2}, 3.0, 0.3), Option("x", 1.0, {"nerf": 1.0}, 0.0, 0.0)]
     for curves in ((one, two), (two, one)):
         found = united(curves)
         assert [option.share for option in found] == [0.5, 1.0]
         assert [option.lost for option in found] == pytest.approx([2.0, 0.0])
-        assert found[0].factors == pytest.approx({"fit": 0.5, "nerf": 0.4})
+        assert found[0].factors == pytest.approx({"fit": 0.5, "nerf": 0.4, "sort": 0.2})
 
 
 def test_a_setting_between_two_others_mixes_factors_and_losses_alike_from_either_end() -> None:

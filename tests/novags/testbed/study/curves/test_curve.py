@@ -3,6 +3,7 @@
 import json
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -66,6 +67,21 @@ def test_an_error_of_nothing_has_no_decibels_and_one_repetition_no_spread(made: 
     assert slow["db_lost"] is None
     assert slow["error_sd"] == 0.0
     assert (slow["front"], default["front"]) == (False, True)  # slower and worse
+
+
+def test_one_error_of_nothing_in_any_repetition_leaves_no_decibels(made: Any) -> None:
+    rows = [made.row("lone", setting, seed, Reading(1.0, 1.0, error))
+            for setting, seed, error in ((1.5, 0, 2.0), (1.5, 1, 0.0), (22.75, 0, 1.0), (22.75, 1, 1.0))]  # fmt: skip
+    fast, _ = curves(Subject("s", {}, (made.subject(8).knobs[2],)), rows)
+    assert fast["db_lost"] is None
+
+
+def test_every_part_that_a_knob_acts_on_has_its_time(made: Any) -> None:
+    knob = replace(made.subject(8).knobs[2], parts=("fit", "denoiser"))
+    rows = [made.row("lone", setting, 0, Reading(1.0, 1.0, 1.0, {"fit": 2.0, "denoiser": 3.0}))
+            for setting in knob.settings]  # fmt: skip
+    for point in curves(Subject("s", {}, (knob,)), rows):
+        assert point["parts"] == {"fit": 2.0, "denoiser": 3.0}
 
 
 def test_the_curves_of_other_subjects_stay_in_the_file(made: Any, tmp_path: Path) -> None:

@@ -118,6 +118,18 @@ def test_measurements_of_other_work_another_machine_or_other_software_are_never_
     assert len(made.asked) == 7
 
 
+def test_one_measurement_of_other_software_among_new_ones_is_said(made: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    made.measure()
+    table = made.folder / "made" / TABLE
+    old = json.loads(table.read_text())
+    here = measurement.environment()
+    monkeypatch.setattr(measurement, "environment", lambda: {**here, "versions": {**here["versions"], "numba": "0.1"}})
+    made.measure()
+    new = json.loads(table.read_text())
+    table.write_text(json.dumps(new | {"rows": new["rows"][:1] + old["rows"][1:]}))
+    assert "numba" in again(made.plan(), made.folder / "made")
+
+
 def test_a_damaged_measurement_is_made_again(made: Any) -> None:
     made.measure()
     (file,) = made.store.glob("measurement/made-steps-100-s0-*/measured.json")

@@ -1,0 +1,48 @@
+"""Claims about an import of pictures beside their raw files: every file of both is looked at."""
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from novags.testbed.console.terminal import Console
+from novags.testbed.stages import importing
+from novags.testbed.stages.configs.importing import ImportConfig
+
+QUIET = Console(quiet=True)
+
+
+class Views(list[str]):
+    path = Path("somewhere")
+
+
+def material(*names: str, raws: tuple[str, ...] = ()) -> Any:
+    dark = SimpleNamespace(
+        source=SimpleNamespace(views=Views(names), rig=SimpleNamespace(width=40, height=30)), depth="8bit",
+        files=tuple(map(Path, names)), raws=tuple(map(Path, raws)),
+    )  # fmt: skip
+    return SimpleNamespace(dark=dark, lit=None, clean=None, dataset=None)
+
+
+def test_every_picture_and_every_raw_file_is_read_before_anything_is_cleared(monkeypatch: pytest.MonkeyPatch) -> None:
+    checked = list[str]()
+    darkroom = SimpleNamespace(check=lambda file, lit: checked.append(file.name) or ("8bit", False))
+    monkeypatch.setattr(importing, "Darkroom", lambda **_: darkroom)
+    monkeypatch.setattr(importing, "raw_camera", lambda *_: None)
+    monkeypatch.setattr(importing, "check_exposed_alike", lambda *_: None)
+    monkeypatch.setattr(importing, "_say", lambda *_: None)
+    importing.prepare(material("a.png", "b.png", raws=("a.dng", "b.dng")), ImportConfig(), QUIET)
+    assert checked == ["a.png", "b.png", "a.dng", "b.dng"]
+
+
+@pytest.mark.parametrize(("names", "lossy"), [(("a.png", "b.jpg"), True), (("a.jpg", "b.png"), True),
+                                              (("a.png", "b.png"), False)])  # fmt: skip
+def test_a_picture_that_lost_something_is_recorded_whichever_it_is(
+    names: tuple[str, ...], lossy: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = material(*names)
+    monkeypatch.setattr(importing, "files_of", lambda source: {})
+    darkroom = SimpleNamespace(camera=None, resampled=False, rig=found.dark.source.rig)
+    prepared: Any = SimpleNamespace(darkroom=darkroom, match=None, resampled=0)
+    assert importing.record_of(found, prepared, ImportConfig())["jpeg"] is lossy
