@@ -129,24 +129,29 @@ def test_a_scene_is_loaded_and_its_cameras_checked_before_it_is_planned(monkeypa
 
 
 @pytest.mark.parametrize(
-    ("spp", "target_error", "said"),
+    ("spp", "target_error", "truth", "said"),
     [
-        (2, None, None),
-        (1, None, "spp must be >= 2"),
-        (None, 0.5, None),
-        (None, 0.0, "target_error"),
-        (None, 1.0, "target_error"),
-        (None, float("nan"), "target_error"),
-        (2, 0.5, "not both"),
-        (None, None, None),
+        (2, None, 1.0, None),
+        (1, None, 1.0, "spp must be >= 2"),
+        (None, 0.5, 8.0, None),
+        (None, 0.0, 1.0, "target_error"),
+        (None, 1.0, 1.0, "target_error"),
+        (None, float("nan"), 1.0, "target_error"),
+        (2, 0.5, 1.0, "not both"),
+        (None, None, 1.0, None),
+        (2, None, 0.5, "truth_samples must be 1 to"),
+        (2, None, float("nan"), "truth_samples must be 1 to"),
+        (2, None, 1e9, "truth_samples must be 1 to"),
     ],
 )
-def test_quality_is_two_samples_or_a_share(spp: int | None, target_error: float | None, said: str | None) -> None:
+def test_quality_is_two_samples_or_a_share_and_truth_has_as_many_or_more(
+    spp: int | None, target_error: float | None, truth: float, said: str | None
+) -> None:
     if said is None:
-        rendering._check_quality(spp, target_error)
+        rendering._check_quality(spp, target_error, truth)
     else:
         with pytest.raises(ValueError, match=said):
-            rendering._check_quality(spp, target_error)
+            rendering._check_quality(spp, target_error, truth)
 
 
 def test_a_job_plans_as_it_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
