@@ -52,9 +52,12 @@ class ReconstructConfig:
 
     def resolved(self) -> dict[str, Any]:
         """The settings that determine the result."""
+        config = asdict(self.config)
+        if not (fit := config.get("fit") or {}).get("keep_at", True):
+            del fit["keep_at"]  # nothing is kept: the request of versions that could not
         return {
             "method": self.variant.method, "points": self.points, "seed": self.seed,
-            "cameras": spell_cameras(self.cameras), "config": asdict(self.config),
+            "cameras": spell_cameras(self.cameras), "config": config,
             **({"given": self.given} if self.given else {}),
         }  # fmt: skip
 

@@ -160,6 +160,7 @@ def test_the_mean_over_all_seeds_of_each_stage_is_judged(monkeypatch: pytest.Mon
         targets=lambda guide, h: "targets", _tones=lambda gaussians: gaussians, _first=lambda: None,
         _config=lambda stage, seed: None, _worse=lambda stage, after, before, weights: judged.append((after, before)),
         _fit=lambda stage, seed, *_: SimpleNamespace(gaussians=f"second {seed}"),
+        _bandwidth=lambda firsts: 1.0, _guide=tuple, _mean_tones=tuple,
     )  # fmt: skip
     firsts: Any = [f"first {seed}" for seed in range(3)]
     seconds = [f"second {seed}" for seed in range(3)]

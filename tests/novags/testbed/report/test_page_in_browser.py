@@ -233,6 +233,7 @@ def test_of_a_mosaic_the_probe_shows_the_channel_of_the_filter(visit: Callable[.
 
 def test_pointing_and_arrow_keys_choose_the_pixel(visit: Callable[..., Any], experiment: Path) -> None:
     tab = visit(experiment / "report.html")
+    tab.locator("#compare").scroll_into_view_if_needed()  # a long verdict pushes it below the window
     box = tab.locator("#compare").bounding_box()
     tab.mouse.move(box["x"] + box["width"] * 10.5 / 32, box["y"] + box["height"] * 7.5 / 24)
     probed(tab, 10, 7)
