@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from novags.testbed import metrics
 from novags.testbed.console.csv_text import as_csv
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders.run import EXPLAINED, METRICS, open_run
@@ -178,7 +179,8 @@ def _ladder(case: Case, own: Values, gains: Mapping[str, Values], why: dict[str,
     kind, number = case.score
     whole = estimate(own)
     assert whole is not None
-    return Ladder(case.run.name, f"{number} of held-out views against {kind}", whole.value, won, why)
+    named = metrics.METRICS[number].heading if number in metrics.METRICS else "PSNR"
+    return Ladder(case.run.name, f"{named} of held-out views against {kind}", whole.value, won, why)
 
 
 def explained(run: Path) -> dict[str, Any] | None:

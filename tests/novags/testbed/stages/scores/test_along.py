@@ -4,7 +4,6 @@ import io
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 
@@ -12,53 +11,34 @@ from novags.methods import METHODS, chosen
 from novags.settings import changed
 from novags.testbed import stages
 from novags.testbed.console.terminal import Console
-from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.folders.run import ALONG, Run, open_run
 from novags.testbed.report.blocks.length import curve_of, length, mean_curve
 from novags.testbed.report.material import material_of
 from novags.testbed.report.page import write_report
 from novags.testbed.report.place import places_in
-from novags.testbed.stages.configs.capturing import CaptureConfig
 from novags.testbed.stages.configs.reconstructing import ReconstructConfig
 from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
-from simscenes import orbit_rig
-from simscenes.sets.multiview import write_cameras
 
 QUIET = Console(quiet=True)
-SIDE, LENGTHS = 32, (10, 20)
+LENGTHS = (10, 20)
 
 
-@pytest.fixture(scope="module")
-def capture(tmp_path_factory: pytest.TempPathFactory) -> Capture:
-    """Nine posed photographs of smooth colours."""
-    folder = tmp_path_factory.mktemp("along")
-    names = [f"{i:04d}" for i in range(9)]
-    write_cameras(folder / "set", names, orbit_rig(9, SIDE, SIDE, 50.0, radius=3.0))
-    (folder / "set" / "images").mkdir()
-    rng = np.random.default_rng(0)
-    for name in names:
-        smooth = cv2.resize(rng.integers(20, 250, (5, 5, 3), np.uint8), (SIDE, SIDE), interpolation=cv2.INTER_CUBIC)
-        cv2.imwrite(str(folder / "set" / "images" / f"{name}.png"), smooth)
-    stages.capture(folder / "set", folder / "cap", CaptureConfig(electrons=200, seed=3), QUIET)
-    return open_capture(folder / "cap")
-
-
-def made(capture: Capture, name: str, out: Path, keep_at: tuple[int, ...], **settings: Any) -> tuple[Run, str]:
+def made(capture: Path, name: str, out: Path, keep_at: tuple[int, ...], **settings: Any) -> tuple[Run, str]:
     """A short run, and what was said."""
     variant = chosen(name)
     settings = {"fit.iterations": 30, "fit.keep_at": keep_at, "enhance.window": 9, **settings}
     config = changed(variant.config(METHODS[variant.method].config(), {}), settings, what=name)
     stream = io.StringIO()
     wanted = ReconstructConfig(variant=variant, config=config, points=120)
-    stages.reconstruct(capture.path, out, wanted, Console(stream=stream))
+    stages.reconstruct(capture, out, wanted, Console(stream=stream))
     stages.score(out, QUIET)
     return open_run(out), stream.getvalue()
 
 
 @pytest.fixture(scope="module")
-def runs(capture: Capture) -> dict[str, Run]:
+def runs(capture: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Run]:
     """The same run with and without, and one in linear light."""
-    folder = capture.path.parent / "runs"
+    folder = tmp_path_factory.mktemp("runs")
     of = {"with": ("naive", LENGTHS), "without": ("naive", ()), "light": ("raw-gs", LENGTHS)}
     return {key: made(capture, name, folder / key, at)[0] for key, (name, at) in of.items()}
 
@@ -95,7 +75,7 @@ def test_a_run_is_shown_and_scored_after_each_length(runs: dict[str, Run], key: 
     assert len({*values, scores["mean"][kind][score]}) == 3
 
 
-def test_what_cannot_be_shown_is_said(capture: Capture, tmp_path: Path) -> None:
+def test_what_cannot_be_shown_is_said(capture: Path, tmp_path: Path) -> None:
     run, said = made(capture, "naive", tmp_path / "long", (20, 40))
     assert run.record[ALONG] == [20]
     assert "reconstruct naive: not shown after 40 iterations" in said
