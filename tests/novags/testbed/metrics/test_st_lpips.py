@@ -8,7 +8,7 @@ from scipy.signal import correlate
 from novags.testbed.metrics import st_lpips as module
 from novags.testbed.metrics.st_lpips import SMALLEST, missing, network, st_lpips
 
-# Set-up with the extra `dev` installs the weights. Who installed novags by itself has none, and can test all but values.
+# Set-up with the extra `dev` installs the weights. Who installed novags by itself has none: values alone need them.
 needs_weights = pytest.mark.skipif(missing() is not None, reason="the weights of ST-LPIPS are not installed")
 SHIFT, SCALE = np.array([-0.030, -0.088, -0.188]), np.array([0.458, 0.448, 0.450])
 
