@@ -25,6 +25,8 @@ SCENES: Registry[Scene] = Registry(
         "bookshop": "simscenes.scenes.indoors:BOOKSHOP",
         "busts": "simscenes.scenes.indoors:BUSTS",
         "thicket": "simscenes.scenes.close:THICKET",
+        "sofa": "simscenes.scenes.unseen:SOFA",
+        "bicycle": "simscenes.scenes.unseen:BICYCLE",
     },
     "novags.scenes",
     Scene,
