@@ -4,6 +4,7 @@
     python scripts/bench_render.py --equal-views 0 --predict tabletop gallery street
     python scripts/bench_render.py --scene busts --equal-size 256 --target-error 0.05 --starts 2 3 5
     python scripts/bench_render.py --equal-size 64 --equal-views 3 --target-error 0.05 --fresh hall tabletop
+    python scripts/bench_render.py --equal-size 96 --denoise tabletop cornell courtyard
 
 Writes JSON lines {"knob", "setting", "seconds", "error", "error_unit", "error_sd", "default"}, knob "method", that
 compare whole jobs: `render_set` to a target error, everything included (reading the scene, planning, predicting,
@@ -17,7 +18,8 @@ all. With --predict: the time that `render_set` predicted, and the time it took,
 towards the target error. With --starts, and nothing else: the same job with roulette from each of these path lengths,
 twice each, in turn. With --fresh, and nothing else: what `novags render` takes for these scenes in a new process, stage
 by stage, on a machine that has never seen the scene, so that every kernel has to be compiled, and once more when the
-kernels are kept.
+kernels are kept. With --denoise, and nothing else: error and processor time of views of these scenes with and without
+Intel's denoiser, at 16 to 1,024 samples a pixel.
 """
 
 from __future__ import annotations
@@ -39,7 +41,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simscenes import activate, default_rig, plan_transport, render_set
-from simscenes.job.curves import NOISE
+from simscenes.job.curves import DEFAULT, NOISE, SceneBench
 from simscenes.loading.load import build_scene
 from simscenes.render.radiance import grid_spp
 from simscenes.render.sensors import sensor_dict
@@ -187,6 +189,20 @@ def fresh(scenes: Sequence[str], size: int, views: int, target: float) -> Iterat
                 }  # fmt: skip
 
 
+def smoothings(scenes: Sequence[str], size: int, seeds: int = 2) -> Iterator[dict[str, Any]]:
+    """Relative RMSE and processor seconds of a view at several samples a pixel, as rendered and denoised."""
+    for scene in scenes:
+        bench = SceneBench(scene, size)
+        for spp, denoise in itertools.product((16, 64, 256, 1024), (False, True)):
+            found = [bench.noise(replace(DEFAULT, spp=spp, denoise=denoise), seed) for seed in range(seeds)]
+            errors = [f.error for f in found]
+            yield {
+                "knob": "denoise", "setting": denoise, "scene": scene, "spp": spp,
+                "cpu_seconds": float(np.median([f.cpu_seconds for f in found])), "error_unit": NOISE,
+                "error": float(np.mean(errors)), "error_sd": float(np.std(errors, ddof=1)),
+            }  # fmt: skip
+
+
 def main() -> None:
     """Run the comparisons and write the lines."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -198,6 +214,7 @@ def main() -> None:
     parser.add_argument("--predict", nargs="*", default=[], help="scenes whose predicted times are checked")
     parser.add_argument("--starts", nargs="*", type=int, default=[], help="path lengths from which roulette starts")
     parser.add_argument("--fresh", nargs="*", default=[], help="scenes that are rendered in processes of their own")
+    parser.add_argument("--denoise", nargs="*", default=[], help="scenes whose views are denoised")
     parser.add_argument("--plain-spp", type=int, default=256)
     parser.add_argument("--plain-seeds", type=int, default=4, help="renders whose spread is the error of plain ones")
     parser.add_argument("--peers", nargs="+", default=list(PEERS), choices=PEERS)
@@ -210,7 +227,10 @@ def main() -> None:
     begun = starts_of_roulette(a.scene, size, views, a.target_error, a.starts)
     alone = fresh(a.fresh, size, views, a.target_error)
     lines = []
-    for line in (a.starts and begun) or (a.fresh and alone) or itertools.chain(compared, foretold):
+    smooth = smoothings(a.denoise, size)
+    for line in (
+        (a.starts and begun) or (a.fresh and alone) or (a.denoise and smooth) or itertools.chain(compared, foretold)
+    ):
         lines.append(json.dumps(line))
         print(lines[-1], flush=True)
     if a.out:

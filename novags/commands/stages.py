@@ -49,7 +49,7 @@ def plan(
 
 def render(
     scene: Name, *, out: Path, views: int = 32, width: int = 128, height: int = 128, spp: int | None = None,
-    target_error: float | None = None, truth_samples: float = 8.0, light: Light = LIGHT,
+    target_error: float | None = None, truth_samples: float = 8.0, denoise: bool = False, light: Light = LIGHT,
     export: tuple[Literal["blender", "llff"], ...] = (), seed: int = 0, overwrite: bool = False, wait: bool = False,
     dry_run: bool = False,
 ) -> None:  # fmt: skip
@@ -66,6 +66,7 @@ def render(
         target_error: Relative error at which each view stops instead.
         truth_samples: Times these samples in held-out views, by which methods are judged; of a target error, a target
             smaller by the root of it.
+        denoise: Smooth training views by Intel's denoiser, for previews; held-out views stay unbiased.
         light: How light gets from the lamps to the sensor.
         export: Further layouts of the set to write, each into a folder of its own in it.
         seed: Of the Monte Carlo noise.
@@ -82,7 +83,7 @@ def render(
     samples = 256 if spp is None and target_error is None else spp
     config = RenderConfig(
         scene=scene, n_views=views, width=width, height=height, spp=samples, target_error=target_error,
-        truth_samples=truth_samples, export=export, seed=seed, **light.settings(),
+        truth_samples=truth_samples, denoise=denoise, export=export, seed=seed, **light.settings(),
     )  # fmt: skip
     with writing(out, wait, dry_run=dry_run) as console:
         with dry(dry_run):

@@ -16,8 +16,10 @@ from numpy.typing import NDArray
 
 from simscenes.backend import backend_of, backend_status, using_variant
 from simscenes.loading.load import LoadedScene, build_scene, set_light_weights
+from simscenes.render.geometry import geometry_channels
 from simscenes.render.radiance import RenderedView, RenderMethod, view_seed
 from simscenes.render.sensors import sensor_dict
+from simscenes.render.smooth import missing, smoothed
 from simscenes.scenes import default_rig
 from simscenes.transport.effects import RR_USUAL
 from simscenes.transport.lights import light_weights
@@ -38,6 +40,7 @@ class Setting:
     spp: int = 256
     sampler: str = OWN
     samples: str = "even"
+    denoise: bool = False
     lights: str = "weighed"
     integrator: str = "path"
     max_depth: int = 8
@@ -51,6 +54,7 @@ KNOBS: dict[str, tuple[Any, ...]] = {
     "spp": (16, 64, 256, 1024),
     "sampler": ("independent", "stratified", "multijitter", "ldsampler", OWN),
     "samples": ("even", "uneven"),
+    "denoise": (False, True),
     "lights": ("equal", "weighed"),
     "max_depth": (2, 3, 4, 6, 8, 16, 64),
     "rr_depth": (1, 2, 3, 5, 64),
@@ -79,6 +83,8 @@ def settings_of(knob: str) -> tuple[tuple[Any, ...], Any]:
         raise ValueError(f"knobs must be among {', '.join(KNOBS)}, got {knob!r}")
     if knob == "variant":
         return tuple(name for name in KNOBS[knob] if backend_status(name)[0]), backend_of()
+    if knob == "denoise" and missing() is not None:
+        return (DEFAULT.denoise,), DEFAULT.denoise
     return KNOBS[knob], getattr(DEFAULT, knob)
 
 
@@ -153,7 +159,12 @@ class SceneBench:
         view = self.view(mi, loaded, s, i, seed)
         assert view.sensors, "made on demand, so now"
 
+        surfaces = geometry_channels(mi, loaded, self.rig, i) if s.denoise else {}
+
         def drawn() -> Image:
+            if s.denoise:
+                radiance = view.render(s.spp, None)
+                return smoothed(radiance.mean, radiance.variance, surfaces).astype(np.float64)
             view.spread(s.spp) if s.samples == "uneven" else view.render(s.spp, None)
             return view.samples.mean()
 

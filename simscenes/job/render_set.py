@@ -31,6 +31,7 @@ from simscenes.render.fitting import usual_rig
 from simscenes.render.framing import with_lens
 from simscenes.render.geometry import check_cameras
 from simscenes.render.radiance import RenderMethod
+from simscenes.render.smooth import missing
 from simscenes.rigs import Rig
 from simscenes.sets.multiview import MultiviewSet, load_set
 from simscenes.sets.names import numbered
@@ -62,6 +63,7 @@ def render_set(
     spp: int | None = None,
     target_error: float | None = None,
     truth_samples: float = 1.0,
+    denoise: bool = False,
     plan: str | Plan = "auto",
     optics: Optics | None = None,
     variant: str = "auto",
@@ -85,6 +87,8 @@ def render_set(
             then go where a short pilot saw noise, instead of evenly over all pixels.
         truth_samples: Times these samples in held-out views (every 8th), which are the truth that others are judged
             by; of a target error, a target smaller by the root of it.
+        denoise: Smooth training views, for previews; held-out ones stay as rendered. The error that is recorded is the
+            one before. Needs the extra `denoise`.
         plan: A plan from `plan_transport`; "auto" to make one, measuring everything if the job is long; or "rgb" for
             plain path tracing to depth 64 without a plan.
         optics: Aperture, motion and colour filters; None for the lens of the scene's own sensor, at rest and seeing
@@ -101,6 +105,8 @@ def render_set(
         BlockingIOError: If another process is writing to `out`.
     """
     _check_quality(spp, target_error, truth_samples)
+    if denoise and (why := missing()) is not None:
+        raise ValueError(f"render_set: denoise: {why}")
     if unknown := set(export) - set(EXPORTS):
         raise ValueError(f"render_set: export must name layouts of {sorted(EXPORTS)}, got {sorted(unknown)}")
     report = progress or (lambda done, total, what: None)
@@ -120,7 +126,9 @@ def render_set(
             "plan": plan_identity(plan), "variant": variant,
         }  # fmt: skip
         names = numbered(len(rig))
-        digest = job_digest({**config, "truth_samples": truth_samples}, rig)
+        # Named where it is asked for, so that sets without it keep their digests.
+        whole = {**config, "truth_samples": truth_samples, **({"denoise": True} if denoise else {})}
+        digest = job_digest(whole, rig)
         if is_complete(out, digest, names):
             (out / SPENT).unlink(missing_ok=True)  # of a process that was killed before its very last step
             return _exported(load_set(out), export)
@@ -150,13 +158,12 @@ def render_set(
         watch.earlier = seconds_spent(out, digest)
         with view_store(out, rig, optics.camera) as store:
             job = RenderJob(method, made, loaded, loaded.variant, rig, out, names, pixels, digest, store, watch, report,
-                            truth_samples)  # fmt: skip
+                            truth_samples, denoise)  # fmt: skip
             views, predicted = render_views(job)
             with watch.stage("write"):
                 finished = finish_set(out, names, rig, seed, store, loaded.name)
         found = {**finished, "views": views, "predicted_seconds": predicted}
-        whole = {**config, "truth_samples": truth_samples, "digest": digest, **_facts(job, made), **found}
-        write_json(out / "set.json", without_nan(whole))
+        write_json(out / "set.json", without_nan({**whole, "digest": digest, **_facts(job, made), **found}))
         (out / SPENT).unlink(missing_ok=True)
         return _exported(load_set(out), export)
 

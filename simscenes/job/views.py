@@ -18,6 +18,7 @@ from simscenes.job.identity import SPENT, VIEW_KEY, finished_view, view_key
 from simscenes.loading.load import LoadedScene
 from simscenes.render.geometry import geometry_channels
 from simscenes.render.radiance import RenderedView, RenderMethod, Tick
+from simscenes.render.smooth import smoothed
 from simscenes.rigs import Rig
 from simscenes.sets.pictures.exr import write_exr
 from simscenes.sets.writers.camera_files import is_test_view, write_json
@@ -44,6 +45,7 @@ class RenderJob:
     watch: Stopwatch
     progress: Progress
     truth_samples: float = 1.0  # times the samples of other views, in held-out ones
+    denoise: bool = False  # training views only: a held-out one is truth, and must be unbiased
 
     def worth(self, i: int) -> float:
         """How many times the samples of a training view one gets: `truth_samples` if it is held out."""
@@ -52,8 +54,13 @@ class RenderJob:
     def config_of(self, i: int) -> dict[str, Any]:
         """Everything that the pixels of a view depend on; more samples in it are a smaller target."""
         spp, target, worth = self.config["spp"], self.config["noise_target"], self.worth(i)
-        return {**self.config, "spp": None if spp is None else round(spp * worth),
+        smooth = {"denoised": True} if self.is_smoothed(i) else {}
+        return {**self.config, **smooth, "spp": None if spp is None else round(spp * worth),
                 "noise_target": None if target is None else target / sqrt(worth)}  # fmt: skip
+
+    def is_smoothed(self, i: int) -> bool:
+        """Whether a view goes through the denoiser of pictures."""
+        return self.denoise and not is_test_view(i)
 
 
 def render_views(job: RenderJob) -> tuple[dict[str, Any], float]:
@@ -114,8 +121,9 @@ def _render_view(job: RenderJob, view: RenderedView, path: Path, key: str, tick:
     with job.watch.stage("radiance"), using_variant(job.method.variant):
         config = job.config_of(view.i)
         radiance = view.render(config["spp"], config["noise_target"], tick)
+        mean = smoothed(radiance.mean, radiance.variance, channels) if job.is_smoothed(view.i) else radiance.mean
     for k, c in enumerate("RGB"):
-        channels[c] = np.maximum(radiance.mean[..., k], 0)  # clips spectral light that lies outside the sRGB triangle
+        channels[c] = np.maximum(mean[..., k], 0)  # clips spectral light that lies outside the sRGB triangle
         channels[f"var.{c}"] = radiance.variance[..., k]
         channels[f"half.{c}"] = radiance.half[..., k]
     error = float(np.float32(radiance.error))  # as the header keeps it: a resumed render reports the value it reads

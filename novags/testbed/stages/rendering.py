@@ -89,8 +89,8 @@ def render_views(out: Path, config: RenderConfig, rig: Rig, plan: Plan | str, co
     with console.progress("render") as progress, warnings_as_notes(console):
         render_set(
             config.source, rig, out, spp=config.spp, target_error=config.target_error,
-            truth_samples=config.truth_samples, plan=plan, optics=config.optics, variant=config.variant,
-            seed=config.seed, allow_outside=config.allow_outside, progress=progress,
+            truth_samples=config.truth_samples, denoise=config.denoise, plan=plan, optics=config.optics,
+            variant=config.variant, seed=config.seed, allow_outside=config.allow_outside, progress=progress,
         )  # fmt: skip
     return read_json(out / RECORD)
 

@@ -32,6 +32,7 @@ class RenderConfig:
     # Times these samples in held-out views, by which methods are judged; of a target error, a target smaller by the
     # root of it. With 8 the truth's noise was below 2 % of the squared error of the oracle on the scene of the demo.
     truth_samples: float = 8.0
+    denoise: bool = False  # smooth training views, for previews; held-out ones stay unbiased
     variant: str = "auto"  # of Mitsuba
     on: tuple[str, ...] = ()  # effects of light that are simulated in any case
     off: tuple[str, ...] = ()  # and that are left out
@@ -90,7 +91,7 @@ class RenderConfig:
         layouts.
         """
         kept = {name: value for name, value in asdict(self).items() if name != "export"}
-        for name in ("parameters", "sensor_index", "own_cameras"):
+        for name in ("parameters", "sensor_index", "own_cameras", "denoise"):
             if not kept[name]:
                 del kept[name]  # sets rendered before these options existed stay valid
         return kept | {"scene": self.source.name}

@@ -11,6 +11,7 @@ WHY = {
     "spp": "a set is rendered once and used for everything after it; --spp and --target-error say otherwise",
     "sampler": "its sequences go on for as long as a pixel needs, and two of them give the variance",
     "samples": "even without a target error, uneven towards one: there a pilot has seen where the noise is",
+    "denoise": "for previews alone: it is biased, so that held-out views, the truth, never pass it",
     "lights": "lamps are drawn as often as they light what the cameras see",
     "max_depth": "the setting of this curve only: the plan of each scene finds the depth that its light calls for",
     "rr_depth": "roulette from here on: earlier costs noise, later costs time",
