@@ -38,6 +38,7 @@ def run(
     iterations: int | None = None,
     denoiser_steps: int | None = None,
     score_at: tuple[int, ...] = (),
+    hold_out: int | None = None,
     seed: int | None = None,
     device: Device = "auto",
     engine: Literal["local", "ray"] = "local",
@@ -86,6 +87,8 @@ def run(
         denoiser_steps: Of the denoiser before the fit starts.
         score_at: Iterations after which held-out views are shown and scored, along each fit of Gaussians, which stays
             the same.
+        hold_out: Training views, drawn by the seed, that nothing is trained on. With --score-at, every fit then has a
+            stop of its own, which sees no truth: the length that shows their dark pictures best.
         seed: Of noise and training.
         device: Where training runs; auto takes a GPU if there is one that can be used.
         engine: Where the work is done: on this machine, or on a Ray cluster (docs/clusters.md).
@@ -108,7 +111,7 @@ def run(
         EXPERIMENTS[preset], scene=scene, photos=photos, fps=fps, level=level, sensor=sensor, electrons=electrons,
         methods=_compared(methods, variant), n_views=views,
         width=width, height=height, spp=spp, max_size=max_size, points=points, iterations=iterations,
-        denoiser_steps=denoiser_steps, score_at=score_at or None, seed=seed,
+        denoiser_steps=denoiser_steps, score_at=score_at or None, hold_out=hold_out, seed=seed,
         variants=variants_of(variant), cameras=cameras_of(cameras), refine_cameras=refine_cameras, device=device,
         parameters=define or None,
     )  # fmt: skip

@@ -183,7 +183,7 @@ def reconstruct(
     capture: Folder, *, out: Path, method: str | None = None, variant: str | None = None, preset: PresetName = "demo",
     pictures: Literal["8bit", "16bit"] | None = None, cameras: str | None = None, refine_cameras: bool = False,
     points: int | None = None, iterations: int | None = None, denoiser_steps: int | None = None,
-    score_at: tuple[int, ...] = (), seed: int = 0, device: Device = "auto",
+    score_at: tuple[int, ...] = (), hold_out: int | None = None, seed: int = 0, device: Device = "auto",
     export: tuple[Literal["3dgs", "splat", "spz", "spz2"], ...] = (),
     overwrite: bool = False, wait: bool = False,
     dry_run: bool = False,
@@ -206,6 +206,8 @@ def reconstruct(
         iterations: Of the fit.
         denoiser_steps: Of the denoiser before the fit starts.
         score_at: Iterations after which held-out views are shown and scored, along one fit, which stays the same.
+        hold_out: Training views, drawn by the seed, that nothing is trained on. With --score-at, every fit then has a
+            stop of its own, which sees no truth: the length that shows their dark pictures best.
         seed: Of training.
         device: Where training runs; auto takes a GPU if there is one that can be used.
         export: Formats of viewers to write into RUN/viewers: a .ply of degree 3 with cameras.json, .splat, .spz
@@ -224,7 +226,7 @@ def reconstruct(
     chosen = adapted(
         EXPERIMENTS[preset], methods=(name,), variants=own, cameras=cameras_of(cameras), refine_cameras=refine_cameras,
         points=points, iterations=iterations, denoiser_steps=denoiser_steps, score_at=score_at or None,
-        pictures=pictures, device=device,
+        hold_out=hold_out, pictures=pictures, device=device,
     )  # fmt: skip
     config = replace(chosen.reconstruct(name), seed=seed)
     from novags.testbed.stages.viewers import check_viewers, viewer_files, write_viewers

@@ -106,6 +106,7 @@ class Capture:
     content: str  # hash of all that the capture stage wrote, from when this was opened
     reads: Reads = field(default_factory=dict, repr=False, compare=False)  # its JSON files, as opened
     memo: Memo = field(default_factory=Memo, repr=False, compare=False)  # values read and computed from it so far
+    held: tuple[int, ...] = ()  # training views that nothing is trained on here: among the held-out ones
 
     @property
     def names(self) -> tuple[str, ...]:

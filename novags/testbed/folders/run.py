@@ -46,6 +46,7 @@ CHECKPOINTS = (
     "checkpoint.safetensors", "checkpoint.denoiser.safetensors", "checkpoint.enhancer.safetensors", "checkpoints",
 )  # fmt: skip
 ALONG = "along"
+HELD = "held_out"  # in the record: training views that nothing was trained on
 EXPLAINED = "explain"  # where its dB are lost, and the runs that say so
 LARGEST = 1e12  # of rendered values: the sum of their squares over a picture stays within 32 bits
 SCENE = "point_cloud.ply"
@@ -170,6 +171,16 @@ class Run:
     def along(self) -> "list[Run]":
         """The same run after fewer iterations, in their order, where it was asked to be shown along its fit."""
         return [replace(self, at=at) for at in self.record.get(ALONG, ())]
+
+    @property
+    def held(self) -> list[str]:
+        """Training views that nothing was trained on: their dark pictures judge lengths of the fit without truth."""
+        return list(self.record.get(HELD, ()))
+
+    @property
+    def iterations(self) -> int:
+        """Of its fit, where it has one."""
+        return int(self.record["config"]["fit"]["iterations"])
 
     def inputs(self, console: Console) -> tuple[Capture, Source]:
         """The capture it was made from, and the set from which that was made.

@@ -35,7 +35,7 @@ VIEWER_CAMERAS = [{"img_name": str, "position": Numbers(3), "rotation": Numbers(
 RUN = {
     "name": str, "method": str, "title?": str, "capture": PLACE, "effects?": [str], "space": str, "config": dict,
     "enhancement": ({"enhancer": str, "pictures": str, "config": dict}, None), "cameras?": (CAMERAS, None),
-    "seconds": {"*": float}, "along?": [int],
+    "seconds": {"*": float}, "along?": [int], "held_out?": [str],
     "stage": {**STAGE, "inputs": {"capture": str, "set": str}, "versions": {"*": str}, "hardware": HARDWARE},
 }  # fmt: skip
 EXPERIMENT = {"command": (str, None), "preset": dict}
@@ -47,5 +47,6 @@ SCORES = {
     "noise?": ({"known": MEASURED, "targets": MEASURED, "renders": MEASURED, "bias_floor": MEASURED}, None),
     "training_2d": ({"enhanced": dict, "blur": BLUR, "best_blur?": BLUR}, None), "seconds": {"*": float},
     "peak_bytes": int, "along?": [{"iterations": int, "mean": {"*": ({"*": MEASURED}, None)}}],
+    "held_out?": {"psnr": {"*": float}, "stop": int},
 }  # fmt: skip
 METRICS = {"methods": {"*": SCORES}, "unavailable": {"*": str}}

@@ -83,6 +83,7 @@ def run_again(run: Run, folder: Path, name: str | None = None) -> str | None:
         return None
     cameras = _moved(str(asked["cameras"]), "--cameras", folder)
     words += ["--points", str(asked["points"]), "--seed", str(asked["seed"])]
+    words += ["--hold-out", str(asked["hold_out"])] if "hold_out" in asked else []
     words += [] if cameras == "known" else ["--cameras", cameras]
     words += _plugins(run.record["stage"].get("versions", {}), folder)
     return shlex.join([*words, "--out", _place(name or run.name)])

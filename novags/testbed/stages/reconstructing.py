@@ -12,6 +12,7 @@ import torch
 from novags.cameras.estimate import CameraEstimate
 from novags.methods import METHODS, title_of
 from novags.methods.inputs import LacksInput
+from novags.methods.memo import Memo
 from novags.methods.problem import Problem, RawPictures, TrueSurface, stacked
 from novags.methods.reconstruction import Reconstruction
 from novags.methods.variant import sees_statistics
@@ -69,6 +70,8 @@ def reconstruct(
     """
     keep_apart(out, capture_path)
     capture = open_capture(capture_path)
+    if config.hold_out:
+        capture = holding_out(capture, config.hold_out, config.seed)
     source = capture.source(console)
     learned = capture if config.more is None else open_capture(config.more)
     of = source if config.more is None else learned.source(console)
@@ -92,6 +95,20 @@ def reconstruct(
     with locked(out):
         keep_place(out, record["capture"], capture.path)
     return record
+
+
+def holding_out(capture: Capture, views: int, seed: int) -> Capture:
+    """The capture with so many of its training views, drawn by a seed, among those that nothing is trained on.
+
+    Raises:
+        ValueError: If fewer than two training views would be left.
+    """
+    train = capture.cameras.train_indices
+    if len(train) < views + 2:
+        raise ValueError(f"hold_out must leave 2 training views, got {views} of {len(train)} in {capture.path}")
+    held = sorted(np.random.default_rng([seed, 0x401D]).choice(train, views, replace=False).tolist())
+    cameras = replace(capture.cameras, held_out=tuple(sorted([*capture.cameras.test_indices, *held])))
+    return replace(capture, cameras=cameras, held=tuple(held), memo=Memo())  # what it keeps is of all training views
 
 
 def prepare(capture: Capture, source: Source, config: ReconstructConfig, console: Console) -> PreparedProblem:
@@ -268,6 +285,7 @@ def reconstruct_views(
         **result.scene.facts(),
         "training_views": len(problem.views),
         **({run_folder.ALONG: sorted(result.along)} if result.along else {}),
+        **({run_folder.HELD: [capture.names[i] for i in capture.held]} if capture.held else {}),
         "seconds": result.seconds,
     }
 

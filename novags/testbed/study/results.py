@@ -14,6 +14,7 @@ from novags.testbed.folders.runs import ROWS, TABLE
 from novags.testbed.ledger.contents import read_json, write_json
 from novags.testbed.ledger.store import read_seal
 from novags.testbed.stages.scores.comparing import enhancement_of, recovered_shares, with_errors
+from novags.testbed.stages.scores.lengths import length_columns
 from novags.testbed.study.differences import Finished, write_differences
 from novags.testbed.study.entry import Task
 from novags.testbed.study.knobs.measurement import read_measured
@@ -227,7 +228,7 @@ def flat_scores(method: Mapping[str, Any]) -> dict[str, Any]:
                                                          "mean_centre_error") if name in cameras},
         "seconds": method["seconds"],
     }  # fmt: skip
-    return {**dict(_flat(chosen, "")), "peak_bytes": method["peak_bytes"]}
+    return {**dict(_flat(chosen, "")), **length_columns(method), "peak_bytes": method["peak_bytes"]}
 
 
 def _flat(value: Any, prefix: str) -> list[tuple[str, Any]]:

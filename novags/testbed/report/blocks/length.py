@@ -9,6 +9,7 @@ from novags.testbed.folders.run import Run
 from novags.testbed.report.charts import DASHES, Axis, Chart, Point, Series
 from novags.testbed.report.material import Material
 from novags.testbed.report.parts import Page, Table, TableRow, heads, num
+from novags.testbed.stages.scores.lengths import Stops, curve, lengths_of
 
 SHOWN = (("enhanced", "aligned_psnr", "PSNR aligned [dB]"), ("lit", "tone_aligned_psnr", "PSNR tone-aligned [dB]"))
 
@@ -24,7 +25,11 @@ def length(material: Material, page: Page) -> dict[str, Any] | None:
         if curves:
             drawn |= curves.keys()
             keys = {name: material.looks[name].key for name in curves}
-            kinds.append({"chart": chart(curves, keys, label), "table": table(curves, kind, label), "kind": kind})
+            three = {name: fits for name, of in runs.items() if (fits := stops_of(of, kind, score))}
+            kinds.append({
+                "chart": chart(curves, keys, label), "table": table(curves, kind, label), "kind": kind,
+                "three": three_table(three, kind, label) if three else None,
+            })  # fmt: skip
     key = [(name, material.looks[name].key) for name in runs if name in drawn]
     return {"kinds": kinds, "key": key} if kinds else None
 
@@ -39,12 +44,13 @@ def mean_curve(runs: list[Run], kind: str, score: str) -> dict[int, float]:
 def curve_of(run: Run, kind: str, score: str) -> dict[int, float]:
     """The score of one run by iterations, its end included; {} where it was not shown along its fit."""
     scores = run.scores()
-    if not run.along() or scores is None:
-        return {}
-    end = run.record["config"]["fit"]["iterations"]
-    steps = [*((each["iterations"], each["mean"]) for each in scores.get("along", ())), (end, scores["mean"])]
-    found = {at: (mean.get(kind) or {}).get(score) for at, mean in steps}
-    return {at: value for at, value in sorted(found.items()) if value is not None}
+    return curve(scores, run.iterations, kind, score) if run.along() and scores is not None else {}
+
+
+def stops_of(runs: list[Run], kind: str, score: str) -> list[Stops]:
+    """The three lengths of each run that held views out."""
+    scores = [found for run in runs if (found := run.scores()) is not None]
+    return [three for each in scores if (three := lengths_of(each, kind, score)) is not None]
 
 
 def chart(curves: Mapping[str, Mapping[int, float]], keys: Mapping[str, str], label: str) -> str:
@@ -64,3 +70,16 @@ def table(curves: Mapping[str, Mapping[int, float]], kind: str, label: str) -> T
                       num(curve[best] - curve[max(curve)])]) for name, curve in curves.items()]  # fmt: skip
     columns = heads(" | ".join(["Method", *(f"#{at}" for at in lengths), "#Best length", "#There above the end [dB]"]))
     return Table(f"length-{kind}", f"{label} after so many iterations", columns, rows)
+
+
+def three_table(runs: Mapping[str, list[Stops]], kind: str, label: str) -> Table:
+    """A row for each method: its mean score at the end of its fits, at their own stops and at their best lengths."""
+    rows = []
+    for name, fits in runs.items():
+        loss = float(np.median([each.highest - each.stopped for each in fits]))
+        means = [float(np.mean(values)) for values in zip(*((f.end, f.stopped, f.highest) for f in fits), strict=True)]
+        stops = sorted(each.stop for each in fits)
+        said = f"{stops[0]}" if stops[0] == stops[-1] else f"{stops[0]} to {stops[-1]}"
+        rows.append(TableRow([name, num(len(fits), 0), *map(num, means), said, num(loss)]))
+    columns = heads("Method | #Fits | #At the end | #At its own stop | #At its best | Own stop | #Median loss [dB]")
+    return Table(f"stops-{kind}", f"{label} at the end, at the fit's own stop and at its best length", columns, rows)

@@ -10,7 +10,7 @@ from novags.cameras.sources.known import KnownConfig
 from novags.methods import METHODS
 from novags.methods.enhancers import ENHANCERS, enhancer_of
 from novags.methods.variant import Variant
-from novags.numbers import POINTS, check_range
+from novags.numbers import POINTS, VIEWS, check_range
 from novags.settings import check_seed, files_among, refuse_lost_files
 from novags.testbed.ledger.code import Code, code_of, modules_of
 from novags.testbed.ledger.contents import folder_digest
@@ -26,6 +26,7 @@ class ReconstructConfig:
     cameras: CameraConfig = field(default_factory=KnownConfig)
     points: int = 8000  # Gaussians at the start, and at most if the fit's `cap_max` is None
     seed: int = 0
+    hold_out: int = 0  # training views, drawn by the seed, that nothing is trained on: they judge lengths without truth
     given: str = ""  # an ingredient that is replaced by its truth: a name of `GIVEN`; "": none, as of every rival
     more: Path | None = None  # a capture whose views are trained on in place of the own; held-out views stay
     device: str = "auto"  # "auto", "cpu", "cuda": not part of a result's identity
@@ -36,6 +37,7 @@ class ReconstructConfig:
             object.__setattr__(self, "config", config)
         check_range("points", self.points, 4, POINTS)
         check_seed(self.seed)
+        check_range("hold_out", self.hold_out, 0, VIEWS, " training views")
         if METHODS[self.variant.method].sees_surface and self.cameras != KnownConfig():
             raise ValueError(
                 f"{self.variant.name} follows the true surface and so takes the set's own cameras, got cameras = "
@@ -58,6 +60,7 @@ class ReconstructConfig:
         return {
             "method": self.variant.method, "points": self.points, "seed": self.seed,
             "cameras": spell_cameras(self.cameras), "config": config,
+            **({"hold_out": self.hold_out} if self.hold_out else {}),
             **({"given": self.given} if self.given else {}),
         }  # fmt: skip
 

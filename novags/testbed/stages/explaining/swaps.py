@@ -74,7 +74,8 @@ class Case:
             variant = Variant(name=run.name, method=run.method, settings=run.record["variant"])
             found = ReconstructConfig(
                 variant=variant, config=config, cameras=parse_cameras(asked["cameras"]), points=asked["points"],
-                seed=asked["seed"], device=str(run.record["device"]).partition(":")[0],
+                seed=asked["seed"], hold_out=asked.get("hold_out", 0),
+                device=str(run.record["device"]).partition(":")[0],
             )  # fmt: skip
         except (ValueError, KeyError) as error:
             raise NotSwapped(f"this version cannot make {run.name} again: {error}") from error

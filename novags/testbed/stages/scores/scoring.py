@@ -25,6 +25,7 @@ from novags.testbed.metrics.images import aligned_psnr, gaussian_blur, image_sco
 from novags.testbed.metrics.linear import linear_scores
 from novags.testbed.metrics.picture import Image
 from novags.testbed.metrics.truth import ERROR, WITHIN
+from novags.testbed.stages.scores.lengths import held_out_scores
 from novags.testbed.stages.scores.noise import noise_scores
 from sensor_model.files.lock import locked
 from simscenes.sets.geometry.correspondence import flow
@@ -61,6 +62,7 @@ def _score(run_path: Path, console: Console) -> dict[str, Any]:
         method = {
             **scores,
             "along": [score_along(then, captured, lit) for then in run.along()],
+            **({} if (held := held_out_scores(run, captured)) is None else {"held_out": held}),
             "training_2d": score_training_images(run, captured, lit),
             "noise": noise_scores(run, captured, lit),
             "cameras": run.record.get("cameras"),

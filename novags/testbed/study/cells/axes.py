@@ -39,8 +39,8 @@ SETS = {
 OF_RENDER = ("views", "width", "height", "spp")  # of no use to a set that is there already
 OF_CAPTURE = ("sensor", "electrons")  # of no use to photographs that are dark already
 # Of use to reconstructions alone.
-OF_RUNS = ("method", "cameras", "points", "iterations", "denoiser_steps", "score_at", "pictures", "refine_cameras",
-           "device")  # fmt: skip
+OF_RUNS = ("method", "cameras", "points", "iterations", "denoiser_steps", "score_at", "hold_out", "pictures",
+           "refine_cameras", "device")  # fmt: skip
 
 
 @dataclass(frozen=True)

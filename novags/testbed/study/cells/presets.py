@@ -46,6 +46,7 @@ class Preset:
     points: int  # Gaussians at the start
     settings: Mapping[str, Any] = field(default_factory=dict)  # for every method that has them, by dotted name
     cameras: CameraConfig = field(default_factory=KnownConfig)
+    hold_out: int = 0  # training views that no method of the test bed sees
     device: str = "auto"
 
     def __post_init__(self) -> None:
@@ -70,7 +71,7 @@ class Preset:
         recipe = self._recipe(name)
         return ReconstructConfig(
             variant=recipe.variant, config=_configured(recipe), cameras=self.cameras, points=self.points,
-            seed=self.capture.seed, device=self.device,
+            seed=self.capture.seed, hold_out=self.hold_out, device=self.device,
         )  # fmt: skip
 
     def refuse_lacking(self) -> None:
@@ -216,6 +217,7 @@ def adapted(
     iterations: int | None = None,
     denoiser_steps: int | None = None,
     score_at: tuple[int, ...] | None = None,
+    hold_out: int | None = None,
     pictures: str | None = None,
     refine_cameras: bool = False,
     seed: int | None = None,
@@ -277,6 +279,7 @@ def adapted(
         variants=variants,
         cameras=cameras,
         points=points,
+        hold_out=hold_out,
         settings={**preset.settings, **given},
         device=device,
     )

@@ -45,7 +45,7 @@ def configurations() -> list[tuple[str, ReconstructConfig]]:
     ]
     small = adapted(EXPERIMENTS["demo"], methods=("naive", "mine", "a.b"), variants=tuple(own), points=321, seed=4,
                     iterations=77, denoiser_steps=9, cameras=parse_cameras("known:rotation_deg=2.5"),
-                    refine_cameras=True)  # fmt: skip
+                    hold_out=2, refine_cameras=True)  # fmt: skip
     found = [(f"{preset}:{name}", EXPERIMENTS[preset].reconstruct(name)) for preset in EXPERIMENTS
              for name in ({**METHODS, **VARIANTS} if preset == "paper" else ("nova-fast", "oracle"))]  # fmt: skip
     return [*found, *((f"own:{name}", small.reconstruct(name)) for name in small.methods)]
