@@ -96,7 +96,10 @@ def _score_pictures(
         say(out)
 
 
-def explain(runs: Folders, *, swaps: tuple[_Swap, ...] = (), wait: bool = False, dry_run: bool = False) -> None:
+def explain(
+    runs: Folders, *, swaps: tuple[_Swap, ...] = (), study: Path | None = None, wait: bool = False,
+    dry_run: bool = False,
+) -> None:  # fmt: skip
     """Say where the dB of a run are lost: each ingredient is replaced by its truth, alone, on the same capture.
 
     Writes RUN/explain/: the ladder as explain.json and explain.csv, and a run for each truth. What is there is kept.
@@ -104,6 +107,7 @@ def explain(runs: Folders, *, swaps: tuple[_Swap, ...] = (), wait: bool = False,
     Args:
         runs: Folders of runs: one, or several of one method that differ in their seeds, of which one ladder is made.
         swaps: The ingredients; all if none is named.
+        study: Of runs by a program: the study file whose [method.NAME] says how it is run.
         wait: If another process is writing there, wait until it is done instead of refusing.
         dry_run: Only say which runs would be made, and about how long they take. Nothing is written.
     """
@@ -111,9 +115,11 @@ def explain(runs: Folders, *, swaps: tuple[_Swap, ...] = (), wait: bool = False,
 
     from novags.testbed.ledger.dry import dry_run as dry
     from novags.testbed.ledger.dry import planned
+    from novags.testbed.stages.configs.command import read_commands
     from novags.testbed.stages.explaining import ladder
     from novags.testbed.stages.explaining.swaps import SWAPS
     from novags.testbed.study.engines.progress import duration
+    from sensor_model.files.toml_file import read_toml
 
     if not runs:
         raise ValueError("name at least one folder of a run")
@@ -121,7 +127,8 @@ def explain(runs: Folders, *, swaps: tuple[_Swap, ...] = (), wait: bool = False,
     with dry(dry_run), ExitStack() as held:
         for run in dict.fromkeys(runs):
             held.enter_context(writing(run, wait, make=False, dry_run=dry_run))
-        cases, asked = ladder.cases_of(runs, console), list[str](swaps or SWAPS)
+        commands = () if study is None else read_commands(read_toml(study).get("method", {}), study.parent)
+        cases, asked = ladder.cases_of(runs, console, commands), list[str](swaps or SWAPS)
         seconds = ladder.forecast(cases, asked)
         for folder, cost in seconds.items():
             console.note(f"explain: {folder}, about {duration(cost)}")

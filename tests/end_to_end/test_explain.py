@@ -1,23 +1,31 @@
 """Claims about `novags explain`, on tiny pictures: the cause that was put in is the first that is named."""
 
 import json
+import shlex
 import shutil
+import sys
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 from novags.cameras import parse_cameras
 from novags.testbed import stages
 from novags.testbed.console.terminal import Console
+from novags.testbed.folders.capture import open_capture
 from novags.testbed.folders.run import open_run
 from novags.testbed.folders.runs import runs_in
 from novags.testbed.report.page import write_report
+from novags.testbed.stages.command import run_command
 from novags.testbed.stages.configs.capturing import CaptureConfig
+from novags.testbed.stages.configs.command import read_commands
 from novags.testbed.stages.configs.rendering import RenderConfig
 from novags.testbed.stages.explaining.ladder import Ladder, cases_of, explain, explained, forecast
-from novags.testbed.stages.explaining.swaps import SWAPS
+from novags.testbed.stages.explaining.swaps import SWAPS, NotSwapped
 from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
+from simscenes.sets.pictures.png import read_png
 
 CAUSES = {  # views, electrons, cameras
     "cameras": (16, 400, "known:rotation_deg=1.5"),
@@ -84,3 +92,46 @@ def test_a_ladder_is_made_once_and_changes_nothing_but_its_own_folder(
     assert more["electrons"] / more["mean_green_radiance"] == pytest.approx(
         own["electrons"] / own["mean_green_radiance"]
     )
+
+
+BLUR = """
+import pathlib, sys
+import cv2
+capture, out = map(pathlib.Path, sys.argv[1:3])
+for name in (capture / "test_list.txt").read_text().split():
+    dark = cv2.imread(str(capture / "images" / pathlib.Path(name).name))
+    cv2.imwrite(str(out / (pathlib.Path(name).stem + ".png")), cv2.convertScaleAbs(cv2.blur(dark, (2, 2)), alpha=3))
+print(sorted(path.name for path in capture.iterdir()), file=open("seen.txt", "w"))
+"""
+
+
+def test_the_noise_of_a_program_is_replaced_from_outside(experiment: Path, tmp_path: Path, quiet: Console) -> None:
+    """It brightens what it is shown: without noise it comes closer, and everything else is its own."""
+    capture, run = experiment / "capture", tmp_path / "run"
+    (tmp_path / "mine.py").write_text(BLUR)
+    table = {"mine": {"command": f"{shlex.quote(sys.executable)} mine.py {{capture}} {{out}}"}}
+    commands = read_commands(table, tmp_path)
+    run_command(capture, run, commands[0], quiet)
+    (case,) = cases_of([run], quiet)
+    found = explain([case], list(SWAPS), quiet)
+    assert "name its study file" in found.not_swapped["noise"]
+    (known,) = cases_of([run], quiet, commands)
+    assert [folder.name for folder in forecast([known], list(SWAPS))] == ["noise"]
+    found = explain([known], list(SWAPS), quiet)
+    assert found.won.keys() == {"noise", "tone"}
+    assert found.won["noise"].value > 0.5
+    assert all("has the true cameras" in found.not_swapped[name] for name in ("cameras", "geometry", "length", "views"))
+    assert "raw" not in (tmp_path / "seen.txt").read_text()
+    record = open_run(run / "explain" / "noise").record
+    assert record["sees_truth"] is True
+    view = open_capture(capture).cameras.names[0]
+    shown = cv2.convertScaleAbs(cv2.blur(_codes(open_capture(capture).clean(0, demosaiced=True)), (2, 2)), alpha=3)
+    assert np.array_equal(_codes(read_png(run / "explain" / "noise" / "renders" / f"{view}.png")), shown)
+    (tmp_path / "mine.py").write_text(BLUR + "# another one")
+    (other,) = cases_of([run], quiet, read_commands(table, tmp_path))
+    with pytest.raises(NotSwapped, match="it has changed since"):
+        _ = other.program
+
+
+def _codes(picture: np.ndarray) -> np.ndarray:
+    return np.round(picture * 255).clip(0, 255).astype(np.uint8)

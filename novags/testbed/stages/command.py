@@ -20,6 +20,7 @@ from novags.testbed.stages.configs.command import CommandConfig
 from novags.testbed.stages.paths import keep_apart
 from sensor_model.files.atomic import remove, write_text
 from sensor_model.files.door import admitted, resolved
+from sensor_model.isp import to_linear16
 from simscenes.sets.pictures.exr import write_exr
 from simscenes.sets.pictures.png import write_png
 from simscenes.sets.writers.camera_files import CAMERA_FILES
@@ -64,6 +65,8 @@ def _reconstruct(capture: Capture, out: Path, config: CommandConfig, console: Co
     try:
         shown, made = work / "capture", work / "out"
         show(capture, shown)
+        if config.given:
+            without_noise(capture, shown)
         made.mkdir()
         words = config.words(capture=str(resolved(shown)), out=str(resolved(made)), seed=str(config.seed))
         console.note(f"{config.name}: {shlex.join(words)}")
@@ -105,6 +108,7 @@ def _body(capture: Capture, out: Path, config: CommandConfig, spent: Spent, with
         "variant": {},
         "capture": os.path.relpath(resolved(capture.path), resolved(out)),
         "space": config.space,
+        "sees_truth": bool(config.given),
         "enhancement": None,
         "config": {"command": config.command, "timeout": config.timeout, "space": config.space},
         "seed": config.seed,
@@ -131,3 +135,15 @@ def show(capture: Capture, folder: Path) -> None:
             copy = folder / file.relative_to(capture.path)
             copy.parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(admitted(file), copy)
+
+
+def without_noise(capture: Capture, folder: Path) -> None:
+    """Replace the pictures that are shown in `folder` by the noise-free exposures, developed alike.
+
+    There are no raw files without noise: none are left, and a program that reads them fails.
+    """
+    for i, name in enumerate(capture.names):
+        write_png(folder / "images" / f"{name}.png", capture.clean(i, demosaiced=True))
+        if capture.holds("images16"):
+            write_png(folder / "images16" / f"{name}.png", to_linear16(capture.clean_linear(i, demosaiced=True)))
+    shutil.rmtree(folder / "raw", ignore_errors=True)  # a capture may have none

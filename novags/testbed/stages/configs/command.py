@@ -46,6 +46,7 @@ class CommandConfig:
         version: A command whose output tells one version of the program from another ("theirs --version"); "" for none.
         title: Its work, in a sentence.
         seed: Of the run.
+        given: "noise": it is shown the exposures without noise, as `novags explain` asks; "": the capture.
     """
 
     name: str
@@ -57,6 +58,7 @@ class CommandConfig:
     version: str = ""
     title: str = ""
     seed: int = 0
+    given: Literal["", "noise"] = ""
 
     def __post_init__(self) -> None:
         _ = self.variant  # checks the name
@@ -112,8 +114,9 @@ class CommandConfig:
         lie.
         """
         told = {"version": self._told()} if self.version else {}
+        truth = {"given": self.given} if self.given else {}
         return {"method": self.name, "command": self.command, "space": self.space, "seed": self.seed,
-                "program": self._digest(), **told}  # fmt: skip
+                "program": self._digest(), **told, **truth}  # fmt: skip
 
     def _told(self) -> str:
         """The version that the program states.

@@ -19,9 +19,11 @@ from novags.testbed.ledger.contents import read_json, write_json
 from novags.testbed.ledger.dry import dry_run
 from novags.testbed.metrics.differences import Estimate, Values, estimate, paired
 from novags.testbed.metrics.truth import ERROR
+from novags.testbed.stages.command import run_command
+from novags.testbed.stages.configs.command import CommandConfig
 from novags.testbed.stages.configs.reconstructing import ReconstructConfig
 from novags.testbed.stages.explaining.more import MORE, make_more
-from novags.testbed.stages.explaining.swaps import SWAPS, Case, NotSwapped
+from novags.testbed.stages.explaining.swaps import SWAPS, Again, Case, NotSwapped
 from novags.testbed.stages.reconstructing import reconstruct
 from novags.testbed.stages.scores.comparing import said
 from novags.testbed.stages.scores.scoring import score
@@ -79,11 +81,11 @@ class Ladder:
                 "not_swapped": self.not_swapped}  # fmt: skip
 
 
-Change = ReconstructConfig | Values | NotSwapped
+Change = Again | Values | NotSwapped
 
 
-def cases_of(paths: Sequence[Path], console: Console) -> list[Case]:
-    """The runs to explain, scored.
+def cases_of(paths: Sequence[Path], console: Console, commands: tuple[CommandConfig, ...] = ()) -> list[Case]:
+    """The runs to explain, scored; `commands` are programs that one may be by.
 
     Raises:
         ValueError: If one cannot be read or scored, or they are not of one method.
@@ -95,7 +97,7 @@ def cases_of(paths: Sequence[Path], console: Console) -> list[Case]:
         run = open_run(path)
         if (scores := run.scores()) is None:
             raise ValueError(f"{path} has not been scored: run novags score first")
-        found.append(Case(run, *run.inputs(console), scores))
+        found.append(Case(run, *run.inputs(console), scores, commands))
     if len(names := sorted({case.run.name for case in found})) > 1:
         raise ValueError(f"runs that are explained together must be of one method, got {', '.join(names)}")
     if len({case.seed for case in found}) < len(found):
@@ -122,9 +124,9 @@ def forecast(cases: Sequence[Case], asked: Sequence[str]) -> dict[Path, float]:
         inputs = (case.capture.record.stage, case.source.views.meta.get("stage", {}))
         for name, change in changes_of(case, asked).items():
             folder = case.folder(name)
-            if isinstance(change, ReconstructConfig) and not (folder / METRICS).exists():
+            if isinstance(change, Again) and not (folder / METRICS).exists():
                 found[folder] = SWAPS[name].costs * float(case.run.record["stage"]["seconds"])
-                if change.more is not None:
+                if isinstance(change, ReconstructConfig) and change.more is not None:
                     found[folder] += MORE * sum(float(stage.get("seconds", 0)) for stage in inputs)
     return found
 
@@ -164,12 +166,15 @@ def _values(case: Case, name: str, change: Change, console: Console) -> Values:
     """The scores of a run with one truth."""
     if isinstance(change, NotSwapped):
         raise change
-    if not isinstance(change, ReconstructConfig):
+    if not isinstance(change, Again):
         return change
     folder = case.folder(name)
-    if change.more is not None:
-        make_more(case.capture, case.source, change.more.parent, console)
-    reconstruct(case.capture.path, folder, change, console, overwrite=True)
+    if isinstance(change, CommandConfig):
+        run_command(case.capture.path, folder, change, console, overwrite=True)
+    else:
+        if change.more is not None:
+            make_more(case.capture, case.source, change.more.parent, console)
+        reconstruct(case.capture.path, folder, change, console, overwrite=True)
     return case.values(score(folder, console)["methods"][case.run.name])
 
 

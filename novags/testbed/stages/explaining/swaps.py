@@ -21,6 +21,7 @@ from novags.testbed.folders.run import EXPLAINED, Run
 from novags.testbed.folders.set import Source
 from novags.testbed.ledger.contents import jsonable
 from novags.testbed.metrics.differences import Values
+from novags.testbed.stages.configs.command import CommandConfig
 from novags.testbed.stages.configs.reconstructing import ReconstructConfig
 from novags.testbed.stages.explaining.more import MORE, refuse_more
 from novags.testbed.stages.scores.comparing import values_of
@@ -30,6 +31,7 @@ from novags.testbed.stages.scores.comparing import values_of
 TONE = "tone_aligned_psnr"
 SCORES = {"enhanced": TONE, "lit": TONE, "linear": "linear_psnr"}
 PLAIN = "psnr"
+Again = ReconstructConfig | CommandConfig  # what to make a run again with
 
 
 class NotSwapped(ValueError):
@@ -44,6 +46,7 @@ class Case:
     capture: Capture
     source: Source
     scores: Mapping[str, Any]  # of the run
+    commands: tuple[CommandConfig, ...] = ()  # programs that are known: a run may be by one of them
 
     @property
     def seed(self) -> str:
@@ -65,8 +68,7 @@ class Case:
         run = self.run
         if (method := METHODS.get(run.method)) is None:
             raise NotSwapped(
-                f"{run.method} is no method of the test bed: a program was given the true cameras and the noisy "
-                "pictures, and its record does not say where it lies"
+                f"{run.method} is a program: it has the true cameras, and points, fit and length of its own"
             )
         asked = run.record["stage"]["config"]
         try:
@@ -81,6 +83,20 @@ class Case:
             raise NotSwapped(f"this version cannot make {run.name} again: {error}") from error
         if jsonable(found.resolved()) != asked:
             raise NotSwapped(f"this version does not make {run.name} again as it was made")
+        return found
+
+    @property
+    def program(self) -> CommandConfig:
+        """The program that made it.
+
+        Raises:
+            NotSwapped: If it is not among those that are known, or has changed.
+        """
+        own = {command.name: replace(command, seed=self.run.record["seed"]) for command in self.commands}
+        if (found := own.get(self.run.method)) is None:
+            raise NotSwapped(f"how {self.run.method} is run is not known: name its study file, --study FILE.toml")
+        if jsonable(found.resolved()) != self.run.record["stage"]["config"]:
+            raise NotSwapped(f"{self.run.method} is not the program that made {self.run.path}: it has changed since")
         return found
 
     @property
@@ -118,12 +134,14 @@ def points(case: Case) -> ReconstructConfig:
     return replace(case.config, given="points")
 
 
-def noise(case: Case) -> ReconstructConfig:
+def noise(case: Case) -> Again:
     """The same exposures without noise."""
-    if METHODS[case.config.variant.method].sees_clean:
-        raise NotSwapped(f"{case.run.name} is given the noise-free exposures already")
     if not case.capture.holds("truth"):
         raise NotSwapped(f"of this capture {MISSING['truth']}")
+    if case.run.method not in METHODS:
+        return replace(case.program, given="noise")
+    if METHODS[case.config.variant.method].sees_clean:
+        raise NotSwapped(f"{case.run.name} is given the noise-free exposures already")
     return replace(case.config, given="noise")
 
 
@@ -192,7 +210,7 @@ class Swap:
     """
 
     truth: str
-    change: Callable[[Case], ReconstructConfig | Values]
+    change: Callable[[Case], Again | Values]
     costs: float = 1.0
     above: str | None = None
 
