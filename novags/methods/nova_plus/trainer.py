@@ -1,6 +1,7 @@
 """The method as a whole: likelihood, targets, structure; several seeds, merged; every step judged by data."""
 
 import dataclasses
+import itertools
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -72,6 +73,7 @@ def train(
     work.found["noise"] = {"origin": noise.origin, "shared": list(data.shared)}
     firsts = [work.likelihood(seed) for seed in range(config.seeds)]
     final, targets = (firsts, None) if config.stages == "likelihood" else work.structure(firsts)
+    del firsts
     gaussians = final[0] if len(final) == 1 else work.joined(final, targets)
     scene = dataclasses.replace(GaussianScene.of(gaussians, work.base), tone=curve, matrix=data.matrix)
     between = time.perf_counter() - started - (work.seconds - work.earlier)  # done anew where a run goes on
@@ -154,8 +156,9 @@ class _Work:
         self.found["bandwidth"] = h
         return h
 
-    def targets(self, guide: Tensor, h: float) -> Tensor:
-        """Tones [C, H, W, 3] that stage 2 fits."""
+    def targets(self, tones: Iterable[Tensor], h: float) -> Tensor:
+        """Tones [C, H, W, 3] that stage 2 fits, from tones [H, W, 3] that guide."""
+        guide = gathered(tones, self.data.light)
         light = guided_light(guide, self.data, self.curve, h, self.config.averaged_share)
         expected = (self.curve.light(view) for view in guide)
         del guide  # its memory is wanted once `expected` is used up
@@ -186,6 +189,7 @@ class _Work:
 
     def joined(self, sets: list[Gaussians], targets: Tensor | None) -> Gaussians:
         """All seeds as one set, trained a little further; the first seed alone, if held-out data favour that."""
+        give_back()
         joined = merged(sets)
         loss = Likelihood(self.data, self.curve) if targets is None else None
         config = self._config(
@@ -203,10 +207,12 @@ class _Work:
         self.found[part] = dataclasses.asdict(verdict) if math.isfinite(verdict.deviation) else None
         return verdict.worse
 
-    def weights(self, tones: Tensor) -> Tensor:
-        """How strongly the enhanced pictures respond to a change in tone, squared; with mean 1."""
-        more, less = self.shown(view + CHANGE for view in tones), self.shown(view - CHANGE for view in tones)
-        answer = gathered((((a - b) / (2 * CHANGE)).square() for a, b in zip(more, less, strict=True)), tones)
+    def weights(self, tones: Iterable[Tensor]) -> Tensor:
+        """How strongly the enhanced pictures respond to a change in tone, squared, [C, H, W, 3]; with mean 1."""
+        above, below = itertools.tee(tones)
+        more, less = self.shown(view + CHANGE for view in above), self.shown(view - CHANGE for view in below)
+        slopes = ((a - b) / (2 * CHANGE) for a, b in zip(more, less, strict=True))
+        answer = gathered((slope.square() for slope in slopes), self.data.light)
         return answer.div_(answer.mean())
 
     def shown(self, tones: Iterable[Tensor]) -> Iterator[Tensor]:
