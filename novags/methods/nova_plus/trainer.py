@@ -20,7 +20,7 @@ from novags.methods.noise_estimate import noise_of
 from novags.methods.nova_plus.average import non_local_means
 from novags.methods.nova_plus.bandwidth import choose_bandwidth
 from novags.methods.nova_plus.checkpoints import claim, run_identity
-from novags.methods.nova_plus.config import PIXELS_PER_GAUSSIAN, NovaPlusConfig, parts
+from novags.methods.nova_plus.config import NovaPlusConfig, parts
 from novags.methods.nova_plus.data import LightMeasurements, exposures
 from novags.methods.nova_plus.judge import compare, mean_tone
 from novags.methods.nova_plus.likelihood import Likelihood
@@ -102,10 +102,7 @@ class _Work:
         self.progress, self.checkpoint = progress, checkpoint
         self.base = config.fit
         self.views = problem.views
-        pixels = len(data) * problem.views.height * problem.views.width
-        wanted = config.gaussians or max(1, pixels // PIXELS_PER_GAUSSIAN)  # 0 for pictures of a few pixels
-        cap = config.fit.cap_max
-        self.count = wanted if cap is None else min(wanted, max(1, cap // config.seeds))
+        self.count = config.gaussians_each(len(data) * problem.views.height * problem.views.width)
         self.done, self.total = 0, sum(parts(config).values())
         self.seconds = self.earlier = 0.0  # of all fits, and of the fits in stopped runs before this one
         self.losses: list[dict[str, float]] = []

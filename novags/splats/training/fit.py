@@ -316,8 +316,7 @@ def _mcmc_step(
     mcmc = config.mcmc
     if mcmc is None:
         return gaussians
-    stop = mcmc.refine_stop if mcmc.refine_stop is not None else config.iterations * 5 // 6
-    if mcmc.refine_start < iteration < stop and iteration % mcmc.refine_every == 0:
+    if mcmc.refine_start < iteration < config.refine_stop and iteration % mcmc.refine_every == 0:
         adam.reset(relocate(gaussians, _generator(config.seed, iteration, 1), _dead(gaussians, flags)))
         goal = min(cap, int(mcmc.growth * len(gaussians)))
         gaussians, drawn = grow(gaussians, goal, _generator(config.seed, iteration, 2))

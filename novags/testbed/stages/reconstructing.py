@@ -149,7 +149,7 @@ def prepare(capture: Capture, source: Source, config: ReconstructConfig, console
 def said_memory(config: ReconstructConfig, views: int, capture: Capture, console: Console) -> None:
     """Say how much main memory the run will take at its peak, and whether that is more than there is."""
     rig, name = capture.cameras.rig, config.variant.name
-    needed = METHODS[config.variant.method].memory.peak(views, rig.width * rig.height, config.points)
+    needed = METHODS[config.variant.method].memory(config.config, views, rig.width * rig.height, config.points)
     free = available_bytes()
     console.note(f"reconstruct {name}: memory {needed / 1e9:.1f} GB at the peak, {free / 1e9:.1f} GB are free")
     if needed > free:

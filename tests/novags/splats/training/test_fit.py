@@ -62,6 +62,16 @@ def test_training_lowers_the_loss_and_grows_to_the_cap():
     assert result.peak_bytes > 0
 
 
+@pytest.mark.parametrize("changes", [{}, {"refine_stop": 12}, {"refine_start": 9}, {"growth": 1.0}])
+@pytest.mark.parametrize("cap", [None, 200, 330, 10_000])
+def test_a_population_becomes_as_large_as_its_configuration_says(cap, changes):
+    gaussians, views, images = problem()
+    moves = McmcConfig(**{"refine_start": 3, "refine_every": 3, "growth": 1.1} | changes)
+    chosen = config(iterations=17, cap_max=cap, mcmc=moves)
+    result = fit(gaussians, views, images.__getitem__, chosen)
+    assert chosen.most(len(gaussians)) == len(result.gaussians)
+
+
 def test_the_same_seed_gives_the_same_bits_and_another_does_not():
     start, views, images = problem()
     a, b, c = (fit(start, views, lambda i: images[i], config(seed=seed)).gaussians for seed in (1, 1, 2))
