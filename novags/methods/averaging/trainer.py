@@ -8,11 +8,11 @@ import numpy as np
 from torch import Tensor
 
 from novags.methods.averaging.config import AveragingConfig
-from novags.methods.averaging.scene import LEAST, AveragedScene
+from novags.methods.averaging.scene import LEAST, AveragedScene, EachView
 from novags.methods.averaging.surface import Array, SurfaceCamera
 from novags.methods.averaging.warp import Rules
 from novags.methods.enhancers import enhancement_record
-from novags.methods.enhancers.applying import enhanced_like, parameters
+from novags.methods.enhancers.applying import enhanced_like, parameters_of_all
 from novags.methods.inputs import LacksInput
 from novags.methods.noise_estimate import noise_of
 from novags.methods.problem import Problem, TrueSurface
@@ -41,12 +41,11 @@ def train(
     started = time.perf_counter()
     exposures, variances = _exposures(problem, config)
     assert problem.surface is not None
-    known, pictures = cameras_of(problem.surface, config.tolerance), problem.encoded(config.pictures)
+    known, device = cameras_of(problem.surface, config.tolerance), problem.views.viewmats.device
 
     def enhance(dark: Tensor, view: int) -> Tensor:
-        like = pictures[view]
-        params = parameters(problem.shared, problem.names[view], like, config.enhance, config.pictures, problem.noise)
-        return enhanced_like(dark.to(like.device), config.enhance, params).cpu()
+        params = parameters_of_all(problem, config.enhance, config.pictures)[view]
+        return enhanced_like(dark.to(device), config.enhance, params).cpu()
 
     scene = AveragedScene(
         sources=[known[i] for i in problem.surface.training], exposures=exposures, variances=variances, known=known,
@@ -69,8 +68,8 @@ def cameras_of(surface: TrueSurface, tolerance: float) -> list[SurfaceCamera]:
             for view in zip(surface.viewmats, surface.Ks, surface.depth, surface.normals, strict=True)]  # fmt: skip
 
 
-def _exposures(problem: Problem, config: AveragingConfig) -> tuple[Array, Array]:
-    """The exposures in linear light and the variance of their noise, both [C, H, W, 3].
+def _exposures(problem: Problem, config: AveragingConfig) -> tuple[EachView, EachView]:
+    """The exposures in linear light and the variance of their noise, [H, W, 3] of each view.
 
     The variance is that at the true mean: at the noisy value itself, bright outliers would lose weight.
     """
@@ -80,9 +79,16 @@ def _exposures(problem: Problem, config: AveragingConfig) -> tuple[Array, Array]
                   "the linear 16-bit pictures": linear16}  # fmt: skip
         missing = ", ".join(name for name, value in wanted.items() if value is None)
         raise LacksInput(f"averaging over views by truth needs {missing}, and this capture has none")
-    clean = np.asarray(srgb_to_linear(problem.clean.cpu().double().numpy()), np.float64)
-    noisy = linear16.cpu()
-    variances = noise_of(problem).linear16(problem.clean.new_tensor(clean).cpu().double()).numpy()
+    clean, noisy, noise = problem.clean.cpu(), linear16.cpu(), noise_of(problem).linear16
+
+    def light(view: int) -> Array:
+        return np.asarray(srgb_to_linear(clean[view].double().numpy()), np.float64)
+
+    def variance(view: int) -> Array:
+        found: Array = noise(clean.new_tensor(light(view)).double()).numpy()
+        return found
+
     # Without the floor a camera without noise would divide by zero.
-    variances = np.maximum(variances, LEAST * max(float(variances.max()), LEAST))
-    return (noisy.double().numpy() if config.exposures == "noisy" else clean), variances
+    least = LEAST * max(max(float(variance(view).max()) for view in range(len(clean))), LEAST)
+    exposures = light if config.exposures == "noise-free" else lambda view: noisy[view].double().numpy()
+    return EachView(exposures, len(clean)), EachView(lambda view: np.maximum(variance(view), least), len(clean))

@@ -170,15 +170,15 @@ def true_surface(capture: Capture, source: Source, indices: list[int], name: str
     Raises:
         LacksInput: If it is not known.
     """
-    found = [None if source.scaled else source.views.geometry(i) for i in range(len(capture.names))]
-    known = [geometry for geometry in found if geometry is not None]
-    if len(known) < len(found):
+    found = (None if source.scaled else source.views.geometry(i) for i in range(len(capture.names)))
+    known = [(geometry["z"], geometry["geometric_normals"]) for geometry in found if geometry is not None]
+    if len(known) < len(capture.names):
         raise LacksInput(f"{name} follows the true surface, and of {capture.path} it is not known: it was made from "
                          "photographs, or from a set that was scaled down")  # fmt: skip
     return TrueSurface(
         viewmats=true_cameras(capture).numpy(), Ks=np.array(capture.cameras.rig.Ks, np.float64),
-        depth=np.stack([geometry["z"] for geometry in known]),
-        normals=np.stack([geometry["geometric_normals"] for geometry in known]), training=tuple(indices),
+        depth=np.stack([depth for depth, _ in known]), normals=np.stack([normals for _, normals in known]),
+        training=tuple(indices),
     )  # fmt: skip
 
 
