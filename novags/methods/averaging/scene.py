@@ -1,5 +1,6 @@
 """The training exposures as a scene: they are brought to any requested camera and averaged."""
 
+import zipfile
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -150,13 +151,21 @@ class AveragedScene:
 
     def save(self, folder: Path) -> None:
         """Write the exposures with their cameras and surfaces, scene/exposures.npz."""
-        with atomic(folder / "scene" / "exposures.npz") as temporary:
-            np.savez_compressed(
-                temporary, viewmats=np.stack([c.viewmat for c in self.sources]),
-                Ks=np.stack([c.K for c in self.sources]), variances=np.stack([v.astype("f4") for v in self.variances]),
-                planes=np.stack([c.planes.astype("f4") for c in self.sources]),
-                exposures=np.stack([e.astype("f4") for e in self.exposures]),
-            )  # fmt: skip
+        parts: dict[str, Callable[[], Iterable[Array]]] = {
+            "viewmats": lambda: (camera.viewmat for camera in self.sources),
+            "Ks": lambda: (camera.K for camera in self.sources),
+            "variances": lambda: (variance.astype("f4") for variance in self.variances),
+            "planes": lambda: (camera.planes.astype("f4") for camera in self.sources),
+            "exposures": lambda: (exposure.astype("f4") for exposure in self.exposures),
+        }
+        # as np.savez_compressed does, which wants all of them at once
+        with (
+            atomic(folder / "scene" / "exposures.npz") as temporary,
+            zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED) as archive,
+        ):
+            for name, each in parts.items():
+                with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
+                    np.lib.format.write_array(file, np.stack(list(each())))
 
     def facts(self) -> dict[str, Any]:
         """How many exposures there are, and how many pixels of all rendered views none of them sees."""

@@ -135,7 +135,7 @@ def prepare(capture: Capture, source: Source, config: ReconstructConfig, console
             if method.sees_clean and capture.demosaiced
             else None
         ),
-        surface=true_surface(capture, source, indices, config.variant.name) if method.sees_surface else None,
+        surface=partial(true_surface, capture, source, indices, config.variant.name) if method.sees_surface else None,
         lit_mean=lit_mean(source, indices) if sees_statistics(config.config) else None,
         n_gaussians=config.points,
         names=tuple(capture.names[i] for i in indices),

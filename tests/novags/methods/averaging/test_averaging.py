@@ -377,5 +377,5 @@ def test_a_saved_average_holds_every_exposure_with_its_camera_and_surface(tmp_pa
         np.testing.assert_array_equal(found["viewmats"], np.stack(AROUND))
         np.testing.assert_array_equal(found["Ks"], np.stack([World.K] * 6))
         np.testing.assert_allclose(found["planes"], np.stack([c.planes for c in scene.sources]), rtol=1e-6, atol=1e-6)
-        np.testing.assert_allclose(found["exposures"], scene.exposures, rtol=1e-6)
-        np.testing.assert_allclose(found["variances"], scene.variances, rtol=1e-6)
+        np.testing.assert_allclose(found["exposures"], list(scene.exposures), rtol=1e-6)
+        np.testing.assert_allclose(found["variances"], list(scene.variances), rtol=1e-6)
