@@ -16,6 +16,7 @@ from torch.utils.checkpoint import checkpoint
 
 from novags.methods.nova.denoiser_config import MANY, ResUNetConfig
 from novags.methods.nova.layers.normalise import CONSTANT, EPS, normalised
+from novags.process import give_back
 
 FEW = 128  # pixels, those of all images of a batch together
 
@@ -183,6 +184,8 @@ class ResUNet(nn.Module):
             [B, D, H, W] float32, not clipped.
         """
         height, width = images.shape[-2:]
+        if images.device.type == "cpu" and height * width >= MANY:
+            give_back()  # what was freed before would stay beside the maps
         multiple = 2 ** len(self.encoder)
         # Two px at the bottleneck: reflection by one pixel does not exist in an image of one.
         down = max(2 * multiple, -(-height // multiple) * multiple) - height
