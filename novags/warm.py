@@ -92,7 +92,7 @@ def fit_and_average() -> None:
 
     warm()
     picture, tones = torch.full((1, 6, 6, 3), 0.5), np.full((4, 3), 0.5, np.float32)
-    non_local_means(picture, 0.1)
+    next(non_local_means(picture, 0.1))
     normalised(picture.movedim(-1, 1).requires_grad_(), 0.2).sum().backward()
     penalty_weights(torch.ones(4, 2), torch.ones(4, dtype=torch.bool), picture[0, ..., 0])
     compare_tones(tones, tones, 0.1, 2.0, ToneCurve.STEEPEST, np.ones((10, 3)), FLOOR, 0.5, np.empty_like(tones))

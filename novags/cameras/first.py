@@ -39,16 +39,16 @@ def from_depths(
         count: How many points.
         rng: Chooses the pixels.
     """
-    every = np.argwhere(np.isfinite(depths) & (depths > 0))
+    every = np.flatnonzero(np.isfinite(depths) & (depths > 0))
     chosen = subset(every, count, rng)
     offsets = np.full((len(chosen), 2), 0.5)
     if len(chosen) < count:
         more = count - len(chosen)
         chosen = np.concatenate([chosen, every[rng.integers(0, len(every), more)]])
         offsets = np.concatenate([offsets, rng.random((more, 2))])
-    view, y, x = chosen.T
+    view, y, x = np.unravel_index(chosen, depths.shape)
     xyz = unproject(np.stack([x, y], -1) + offsets, depths[view, y, x], viewmats[view], Ks[view])
-    return FirstPoints(xyz, images[view, y, x], {"from depth": count})
+    return FirstPoints(xyz, np.asarray(images[view, y, x]), {"from depth": count})
 
 
 def from_model(

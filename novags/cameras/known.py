@@ -87,7 +87,7 @@ def perturb(viewmats: Array, rotation_deg: float, translation: float, rng: np.ra
 
 def _depths(multiview: MultiviewSet, indices: list[int]) -> Array | None:
     """z-depths [C, h, w] of the views, inf in front of empty space; None if the set has no depths."""
-    found = [multiview.geometry(i) for i in indices]
+    found = (multiview.geometry(i) for i in indices)  # of which one is there at a time: each has a dozen maps
     depths = [geometry["z"] for geometry in found if geometry is not None]
     if len(depths) < len(indices) or not any(np.isfinite(z).any() for z in depths):
         return None

@@ -1,6 +1,9 @@
 """The main memory of a run, said before it begins."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
+
+from novags.splats.training.config import FitConfig
 
 PICTURE = 12.0  # bytes of a pixel of a picture in float32, red, green and blue
 
@@ -11,22 +14,35 @@ class Memory:
 
     Attributes:
         fixed: Bytes whatever the capture, libraries included.
-        point: Bytes for each of the first points.
+        gaussian: Bytes for each of the Gaussians that a run ends with.
         pictures: How many float32 pictures of all training views are there at once.
         work: How many pictures of its size the work on one view takes.
     """
 
     fixed: float = 0.5e9
-    point: float = 1100.0
+    gaussian: float = 1100.0
     pictures: float = 2.0
     work: float = 48.0
 
-    def peak(self, views: float, pixels: float, points: float) -> float:
+    def __call__(self, config: Any, views: float, pixels: float, points: int) -> float:
         """Bytes at the peak of a run on the CPU.
 
         Args:
+            config: Of the method; with a fit of Gaussians, how many they become.
             views: Training views.
             pixels: Of one view.
             points: First points.
         """
-        return self.fixed + self.point * points + PICTURE * pixels * (self.pictures * views + self.work)
+        return self.peak(views, pixels, most_gaussians(config, points))
+
+    def peak(self, views: float, pixels: float, gaussians: float) -> float:
+        """The same for a known number of Gaussians."""
+        return self.fixed + self.gaussian * gaussians + PICTURE * pixels * (self.pictures * views + self.work)
+
+
+def most_gaussians(config: Any, points: int) -> int:
+    """How many Gaussians a run ends with; none without a fit of them."""
+    fit = getattr(config, "fit", None)
+    if not isinstance(fit, FitConfig):
+        return 0
+    return replace(fit, cap_max=points if fit.cap_max is None else fit.cap_max).most(points)

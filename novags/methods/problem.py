@@ -126,7 +126,7 @@ class Problem:
             three channels of each pixel. Only methods with `sees_clean` get it.
         clean_demosaiced: Behind a colour filter array: the noise-free mosaics, interpolated as the pictures are; None
             elsewhere. Only methods with `sees_clean` get it.
-        surface: The true surface. Only methods with `sees_surface` get it.
+        surface: The true surface. May be given as a function (`WhenUsed`). Only methods with `sees_surface` get it.
         lit_mean: Mean luminance of well-lit pictures of the training views, sRGB code in 0..1. Only methods that are
             set to use statistics of the truth (`truth_statistics` of their configuration) get it.
         n_gaussians: How many Gaussians were asked for; None: as many as there are points at the start.
@@ -145,7 +145,7 @@ class Problem:
     pixels_share: tuple[str, ...] = ()
     clean: Tensor | None = None
     clean_demosaiced: Tensor | None = None
-    surface: TrueSurface | None = None
+    surface: WhenUsed[TrueSurface | None] = WhenUsed(None)
     lit_mean: float | None = None
     n_gaussians: int | None = None
     names: tuple[str, ...] = ()

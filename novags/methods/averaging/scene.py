@@ -1,5 +1,7 @@
 """The training exposures as a scene: they are brought to any requested camera and averaged."""
 
+import zipfile
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +19,24 @@ from novags.splats.views import Views
 from sensor_model.files.atomic import atomic
 
 SAME_CAMERA = 1e-4  # radians, and distances between cameras: float32 rounds, and a camera source may turn the world
+ROWS = 1 << 16  # pixels that are brought at once: 1 kB each
 LEAST = 1e-12  # of a variance, as a share of the largest: exposures without any noise would be divided by zero
+
+
+@dataclass(frozen=True)
+class EachView:
+    """An array of each view, made where it is used: in double precision those of all views take much memory.
+
+    Attributes:
+        make: View -> its array.
+        count: Of the views.
+    """
+
+    make: Callable[[int], Array]
+    count: int
+
+    def __iter__(self) -> Iterator[Array]:
+        return map(self.make, range(self.count))
 
 
 @dataclass(frozen=True)
@@ -36,17 +55,17 @@ class Average:
 
 
 def average(
-    target: SurfaceCamera, sources: list[SurfaceCamera], exposures: Array, variances: Array, rules: Rules,
-    rows: NDArray[np.intp] | None = None,
+    target: SurfaceCamera, sources: list[SurfaceCamera], exposures: Iterable[Array], variances: Iterable[Array],
+    rules: Rules, rows: NDArray[np.intp] | None = None,
 ) -> Average:  # fmt: skip
-    """The exposures [C, h, w, 3] brought to a camera and averaged by inverse variance, which is the best that can be
+    """The exposures [h, w, 3] brought to a camera and averaged by inverse variance, which is the best that can be
     done with independent data of known variance (Gauss-Markov).
 
     Args:
         target: The camera.
         sources: Cameras of the exposures.
         exposures: Linear light.
-        variances: Of the exposures' noise, > 0, the same shape.
+        variances: Of the exposures' noise, > 0, the same shapes.
         rules: When a view counts as seeing a pixel.
         rows: Flat indices [n] of the wanted pixels; None: all.
     """
@@ -54,12 +73,14 @@ def average(
     total, weight = np.zeros((len(rows), 3)), np.zeros((len(rows), 3))
     views = np.zeros(len(rows), int)
     for source, exposure, variance in zip(sources, exposures, variances, strict=True):
-        matrix, seen = warp(target, source, rows, rules)
-        noise = matrix.power(2) @ variance.reshape(-1, 3)
-        share = np.where(seen[:, None], 1 / np.where(seen[:, None], noise, 1.0), 0.0)
-        total += share * (matrix @ exposure.reshape(-1, 3))
-        weight += share
-        views += seen
+        for begin in range(0, len(rows), ROWS):
+            some = slice(begin, begin + ROWS)
+            matrix, seen = warp(target, source, rows[some], rules)
+            noise = matrix.power(2) @ variance.reshape(-1, 3)
+            share = np.where(seen[:, None], 1 / np.where(seen[:, None], noise, 1.0), 0.0)
+            total[some] += share * (matrix @ exposure.reshape(-1, 3))
+            weight[some] += share
+            views[some] += seen
     found = views > 0
     inverse = 1 / np.where(found[:, None], weight, 1.0)
     return Average(total * inverse, np.where(found[:, None], inverse, np.inf), views)
@@ -71,7 +92,7 @@ class AveragedScene:
 
     Attributes:
         sources: Cameras of the exposures.
-        exposures: Linear light [C, h, w, 3].
+        exposures: Linear light [h, w, 3] of each.
         variances: Of the exposures' noise.
         known: Every camera whose surface is known, held-out ones too.
         rules: When a view counts as seeing a pixel; where none does, edges and coarse pixels count too.
@@ -79,8 +100,8 @@ class AveragedScene:
     """
 
     sources: list[SurfaceCamera]
-    exposures: Array
-    variances: Array
+    exposures: Iterable[Array]
+    variances: Iterable[Array]
     known: list[SurfaceCamera]
     rules: Rules
     enhance: Any
@@ -130,12 +151,21 @@ class AveragedScene:
 
     def save(self, folder: Path) -> None:
         """Write the exposures with their cameras and surfaces, scene/exposures.npz."""
-        with atomic(folder / "scene" / "exposures.npz") as temporary:
-            np.savez_compressed(
-                temporary, viewmats=np.stack([c.viewmat for c in self.sources]),
-                Ks=np.stack([c.K for c in self.sources]), variances=self.variances.astype("f4"),
-                planes=np.stack([c.planes for c in self.sources]).astype("f4"), exposures=self.exposures.astype("f4"),
-            )  # fmt: skip
+        parts: dict[str, Callable[[], Iterable[Array]]] = {
+            "viewmats": lambda: (camera.viewmat for camera in self.sources),
+            "Ks": lambda: (camera.K for camera in self.sources),
+            "variances": lambda: (variance.astype("f4") for variance in self.variances),
+            "planes": lambda: (camera.planes.astype("f4") for camera in self.sources),
+            "exposures": lambda: (exposure.astype("f4") for exposure in self.exposures),
+        }
+        # as np.savez_compressed does, which wants all of them at once
+        with (
+            atomic(folder / "scene" / "exposures.npz") as temporary,
+            zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED) as archive,
+        ):
+            for name, each in parts.items():
+                with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
+                    np.lib.format.write_array(file, np.stack(list(each())))
 
     def facts(self) -> dict[str, Any]:
         """How many exposures there are, and how many pixels of all rendered views none of them sees."""

@@ -3,17 +3,19 @@
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from torch import Tensor
 
 from novags.methods.averaging.config import AveragingConfig
-from novags.methods.averaging.scene import LEAST, AveragedScene
+from novags.methods.averaging.scene import LEAST, AveragedScene, EachView
 from novags.methods.averaging.surface import Array, SurfaceCamera
 from novags.methods.averaging.warp import Rules
 from novags.methods.enhancers import enhancement_record
-from novags.methods.enhancers.applying import enhanced_like, parameters
+from novags.methods.enhancers.applying import enhanced_like, parameters_of_all
 from novags.methods.inputs import LacksInput
+from novags.methods.noise import Variance
 from novags.methods.noise_estimate import noise_of
 from novags.methods.problem import Problem, TrueSurface
 from novags.methods.reconstruction import Reconstruction
@@ -39,17 +41,23 @@ def train(
         LacksInput: If the problem lacks one of these, or the linear 16-bit pictures.
     """
     started = time.perf_counter()
-    exposures, variances = _exposures(problem, config)
-    assert problem.surface is not None
-    known, pictures = cameras_of(problem.surface, config.tolerance), problem.encoded(config.pictures)
+    clean, surface, linear16 = problem.clean, problem.surface, problem.linear16
+    if clean is None or surface is None or linear16 is None:
+        wanted = {"the noise-free exposures": clean, "the true surface": surface,
+                  "the linear 16-bit pictures": linear16}  # fmt: skip
+        missing = ", ".join(name for name, value in wanted.items() if value is None)
+        raise LacksInput(f"averaging over views by truth needs {missing}, and this capture has none")
+    device = problem.views.viewmats.device
+    known, training = cameras_of(surface, config.tolerance), surface.training
+    del surface  # as large as the cameras
+    exposures, variances = _exposures(linear16.cpu(), clean.cpu(), noise_of(problem).linear16, config.exposures)
 
     def enhance(dark: Tensor, view: int) -> Tensor:
-        like = pictures[view]
-        params = parameters(problem.shared, problem.names[view], like, config.enhance, config.pictures, problem.noise)
-        return enhanced_like(dark.to(like.device), config.enhance, params).cpu()
+        params = parameters_of_all(problem, config.enhance, config.pictures)[view]
+        return enhanced_like(dark.to(device), config.enhance, params).cpu()
 
     scene = AveragedScene(
-        sources=[known[i] for i in problem.surface.training], exposures=exposures, variances=variances, known=known,
+        sources=[known[i] for i in training], exposures=exposures, variances=variances, known=known,
         rules=Rules(kernel=config.kernel, coarsest=config.coarsest, mixed=False), enhance=enhance,
     )  # fmt: skip
     if progress is not None:
@@ -69,20 +77,28 @@ def cameras_of(surface: TrueSurface, tolerance: float) -> list[SurfaceCamera]:
             for view in zip(surface.viewmats, surface.Ks, surface.depth, surface.normals, strict=True)]  # fmt: skip
 
 
-def _exposures(problem: Problem, config: AveragingConfig) -> tuple[Array, Array]:
-    """The exposures in linear light and the variance of their noise, both [C, H, W, 3].
+def _exposures(
+    noisy: Tensor, clean: Tensor, noise: Variance, exposures: Literal["noisy", "noise-free"]
+) -> tuple[EachView, EachView]:
+    """The exposures in linear light and the variance of their noise, [H, W, 3] of each view.
 
     The variance is that at the true mean: at the noisy value itself, bright outliers would lose weight.
+
+    Args:
+        noisy: The linear 16-bit pictures.
+        clean: Those without noise, sRGB-encoded.
+        noise: Of the linear ones.
+        exposures: Which of both are averaged.
     """
-    linear16 = problem.linear16
-    if problem.clean is None or problem.surface is None or linear16 is None:
-        wanted = {"the noise-free exposures": problem.clean, "the true surface": problem.surface,
-                  "the linear 16-bit pictures": linear16}  # fmt: skip
-        missing = ", ".join(name for name, value in wanted.items() if value is None)
-        raise LacksInput(f"averaging over views by truth needs {missing}, and this capture has none")
-    clean = np.asarray(srgb_to_linear(problem.clean.cpu().double().numpy()), np.float64)
-    noisy = linear16.cpu()
-    variances = noise_of(problem).linear16(problem.clean.new_tensor(clean).cpu().double()).numpy()
+
+    def light(view: int) -> Array:
+        return np.asarray(srgb_to_linear(clean[view].double().numpy()), np.float64)
+
+    def variance(view: int) -> Array:
+        found: Array = noise(clean.new_tensor(light(view)).double()).numpy()
+        return found
+
     # Without the floor a camera without noise would divide by zero.
-    variances = np.maximum(variances, LEAST * max(float(variances.max()), LEAST))
-    return (noisy.double().numpy() if config.exposures == "noisy" else clean), variances
+    least = LEAST * max(max(float(variance(view).max()) for view in range(len(clean))), LEAST)
+    linear = light if exposures == "noise-free" else lambda view: noisy[view].double().numpy()
+    return EachView(linear, len(clean)), EachView(lambda view: np.maximum(variance(view), least), len(clean))

@@ -30,6 +30,7 @@ from novags.methods.denoised.measured import MeasuredPictures
 from novags.methods.denoised.network import Network
 from novags.methods.denoised.packing import turned
 from novags.methods.reconstruction import Progress
+from novags.process import give_back
 from novags.splats.training.companion import masked_step
 from novags.splats.training.flags import Flags, tell
 
@@ -182,6 +183,8 @@ def adapt(
         if progress is not None:
             progress(step, config.steps + more, {"denoiser": loss})
 
+    give_back()
     for step in range(1, config.steps + 1):
         tell(training.flags, step, config.steps, training.advance(), partial(report, step))
+    give_back()
     return Adapted(network, after, training.blend(network))

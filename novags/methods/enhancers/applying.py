@@ -93,9 +93,18 @@ def enhanced_light(
     problem: Problem, light: Iterable[Tensor], config: Enhancement, pictures: Pictures
 ) -> Iterator[Tensor]:
     """Linear pictures [H, W, 3] of a problem's views, one by one through the enhancement that each view got."""
-    for name, dark, view in zip(problem.names, problem.encoded(pictures), light, strict=True):
-        params = parameters(problem.shared, name, dark, config, pictures, problem.noise)
-        yield enhanced_like(torch.from_numpy(encode(view.cpu().numpy())).to(dark), config, params)
+    for params, view in zip(parameters_of_all(problem, config, pictures), light, strict=True):
+        yield enhanced_like(torch.from_numpy(encode(view.cpu().numpy())).to(view.device), config, params)
+
+
+def parameters_of_all(problem: Problem, config: Enhancement, pictures: Pictures) -> list[Any]:
+    """The parameters of the enhancement of every view; no pictures are read for them again."""
+
+    def made() -> list[Any]:
+        views = zip(problem.names, problem.encoded(pictures), strict=True)
+        return [parameters(problem.shared, *view, config, pictures, problem.noise) for view in views]
+
+    return problem.once(("parameters of all", problem.names, pictures, config, stamps(config)), made)
 
 
 def _enhance(dark: Tensor, config: Enhancement, params: Any, noise: Noise | None = None) -> tuple[Tensor, Any]:

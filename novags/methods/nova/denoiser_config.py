@@ -5,6 +5,8 @@ from typing import Literal
 
 from novags.numbers import STEPS, check_range
 
+MANY = 1 << 18  # pixels of a level of the network, from which on a CPU's memory matters more than time
+
 
 @dataclass(frozen=True, kw_only=True)
 class ResUNetConfig:

@@ -5,14 +5,18 @@ channels of a pixel beside each other in memory (channels last), from the first 
 the layout in which convolutions on a CPU are fastest, and a third of a step were copies to another one and back.
 """
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
+from torch.utils.checkpoint import checkpoint
 
-from novags.methods.nova.denoiser_config import ResUNetConfig
+from novags.methods.nova.denoiser_config import MANY, ResUNetConfig
 from novags.methods.nova.layers.normalise import CONSTANT, EPS, normalised
+from novags.process import give_back
 
 FEW = 128  # pixels, those of all images of a batch together
 
@@ -132,10 +136,25 @@ class GatedLevel(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """x: [B, channels_in, H, W] to [B, channels, H, W]."""
-        x = self.enter(x)
+        x = _forgetting(self.enter, x)
         if self.plain:
-            return self.second(x)
-        return F.leaky_relu_(x + self.residual(x), 0.2)
+            return _forgetting(self.second, x)
+        half = len(self.residual) // 2
+        between = _forgetting(self.residual[:half], x)
+        return _forgetting(lambda a, b: F.leaky_relu_(a + self.residual[half:](b), 0.2), x, between)
+
+
+def _forgetting(part: Callable[..., Tensor], *inputs: Tensor) -> Tensor:
+    """The result of a part of the network, which keeps its inputs alone where images are large on a CPU.
+
+    A step would otherwise hold 10 kB for each pixel until its gradients are made. What a part needs for its own is
+    computed again, with the same bits.
+    """
+    x = inputs[0]
+    if x.device.type != "cpu" or x.numel() < MANY * x.shape[1] or not torch.is_grad_enabled():
+        return part(*inputs)
+    found: Tensor = checkpoint(part, *inputs, use_reentrant=False, preserve_rng_state=False)
+    return found
 
 
 class ResUNet(nn.Module):
@@ -165,6 +184,8 @@ class ResUNet(nn.Module):
             [B, D, H, W] float32, not clipped.
         """
         height, width = images.shape[-2:]
+        if images.device.type == "cpu" and height * width >= MANY:
+            give_back()  # what was freed before would stay beside the maps
         multiple = 2 ** len(self.encoder)
         # Two px at the bottleneck: reflection by one pixel does not exist in an image of one.
         down = max(2 * multiple, -(-height // multiple) * multiple) - height
@@ -176,15 +197,26 @@ class ResUNet(nn.Module):
         return x[..., :height, :width].to(images.dtype)
 
     def _run(self, x: Tensor) -> Tensor:
-        skips = []
+        skips: list[Tensor] = []
         for level in self.encoder:
-            x = level(x)
+            x = _forgetting(partial(_descended, level), x) if skips else _forgetting(level, x)
             skips.append(x)
-            x = F.max_pool2d(x, 2)
-        x = self.bottleneck(x)
-        for i in reversed(range(len(skips))):
-            # The paper enlarges first. Both are linear and the weights of a pixel add up to one, so this is the same,
-            # with a quarter of the pixels to reduce and half of the channels to enlarge.
-            x = F.interpolate(self.reduce[i](x), scale_factor=2, mode="bilinear", align_corners=False)
-            x = self.decoder[i](torch.cat([x, skips[i]], 1))
+        x = _forgetting(partial(_descended, self.bottleneck), x)
+        for reduce, level, skip in zip(self.reduce[::-1], self.decoder[::-1], skips[::-1], strict=True):
+            x = _forgetting(partial(_ascended, reduce, level), skip, x)
         return self.head(x)
+
+
+def _descended(level: nn.Module, x: Tensor) -> Tensor:
+    """The level below."""
+    found: Tensor = level(F.max_pool2d(x, 2))
+    return found
+
+
+def _ascended(reduce: nn.Module, level: nn.Module, skip: Tensor, x: Tensor) -> Tensor:
+    """The level above, which sees the encoder's maps of its size."""
+    # The paper enlarges first. Both are linear and the weights of a pixel add up to one, so this is the same, with a
+    # quarter of the pixels to reduce and half of the channels to enlarge.
+    x = F.interpolate(reduce(x), scale_factor=2, mode="bilinear", align_corners=False)
+    found: Tensor = level(torch.cat([x, skip], 1))
+    return found

@@ -18,7 +18,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from novags.methods.problem import gathered
 from novags.splats.cpu.compiler import inline, kernel
 from novags.splats.cpu.vectors.simd import LANES, bits, load, select, splat, store
 from novags.splats.cpu.vectors.vector_math import exp
@@ -114,9 +113,11 @@ def _stride(width: int) -> int:
     return 2 * MARGIN + -(-width // LANES) * LANES
 
 
-def non_local_means(image: Tensor, h: float) -> Tensor:
-    """Pictures [C, H, W, 3], each pixel averaged over those like it in the same picture (Buades et al. 2005)."""
-    return gathered(of_views(image, image.__getitem__, lambda i, sums: sums.mean(image[i]), h=h, patch=2), image)
+def non_local_means(image: Tensor, h: float) -> Iterator[Tensor]:
+    """Pictures [C, H, W, 3], one by one, each pixel averaged over those like it in the same picture (Buades et al.
+    2005).
+    """
+    return of_views(image, image.__getitem__, lambda i, sums: sums.mean(image[i]), h=h, patch=2)
 
 
 @kernel

@@ -77,6 +77,12 @@ class NovaPlusConfig:
         if self.gaussians is not None and self.gaussians < 1:
             raise ValueError(f"gaussians must be >= 1 or None, got {self.gaussians}")
 
+    def gaussians_each(self, pixels: float) -> int:
+        """How many Gaussians each seed may have, of so many pixels of all views."""
+        wanted = self.gaussians or max(1, int(pixels) // PIXELS_PER_GAUSSIAN)  # 0 for pictures of a few pixels
+        cap = self.fit.cap_max
+        return wanted if cap is None else min(wanted, max(1, cap // self.seeds))
+
     def iterations(self, part: str) -> int:
         """How many one fit of a part takes; "merged" comes once."""
         return max(1, round(self.fit.iterations * PARTS[part] / 24))

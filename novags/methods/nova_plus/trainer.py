@@ -1,6 +1,7 @@
 """The method as a whole: likelihood, targets, structure; several seeds, merged; every step judged by data."""
 
 import dataclasses
+import itertools
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -19,7 +20,7 @@ from novags.methods.noise_estimate import noise_of
 from novags.methods.nova_plus.average import non_local_means
 from novags.methods.nova_plus.bandwidth import choose_bandwidth
 from novags.methods.nova_plus.checkpoints import claim, run_identity
-from novags.methods.nova_plus.config import PIXELS_PER_GAUSSIAN, NovaPlusConfig, parts
+from novags.methods.nova_plus.config import NovaPlusConfig, parts
 from novags.methods.nova_plus.data import LightMeasurements, exposures
 from novags.methods.nova_plus.judge import compare, mean_tone
 from novags.methods.nova_plus.likelihood import Likelihood
@@ -72,6 +73,7 @@ def train(
     work.found["noise"] = {"origin": noise.origin, "shared": list(data.shared)}
     firsts = [work.likelihood(seed) for seed in range(config.seeds)]
     final, targets = (firsts, None) if config.stages == "likelihood" else work.structure(firsts)
+    del firsts
     gaussians = final[0] if len(final) == 1 else work.joined(final, targets)
     scene = dataclasses.replace(GaussianScene.of(gaussians, work.base), tone=curve, matrix=data.matrix)
     between = time.perf_counter() - started - (work.seconds - work.earlier)  # done anew where a run goes on
@@ -100,10 +102,7 @@ class _Work:
         self.progress, self.checkpoint = progress, checkpoint
         self.base = config.fit
         self.views = problem.views
-        pixels = len(data) * problem.views.height * problem.views.width
-        wanted = config.gaussians or max(1, pixels // PIXELS_PER_GAUSSIAN)  # 0 for pictures of a few pixels
-        cap = config.fit.cap_max
-        self.count = wanted if cap is None else min(wanted, max(1, cap // config.seeds))
+        self.count = config.gaussians_each(len(data) * problem.views.height * problem.views.width)
         self.done, self.total = 0, sum(parts(config).values())
         self.seconds = self.earlier = 0.0  # of all fits, and of the fits in stopped runs before this one
         self.losses: list[dict[str, float]] = []
@@ -154,8 +153,9 @@ class _Work:
         self.found["bandwidth"] = h
         return h
 
-    def targets(self, guide: Tensor, h: float) -> Tensor:
-        """Tones [C, H, W, 3] that stage 2 fits."""
+    def targets(self, tones: Iterable[Tensor], h: float) -> Tensor:
+        """Tones [C, H, W, 3] that stage 2 fits, from tones [H, W, 3] that guide."""
+        guide = gathered(tones, self.data.light)
         light = guided_light(guide, self.data, self.curve, h, self.config.averaged_share)
         expected = (self.curve.light(view) for view in guide)
         del guide  # its memory is wanted once `expected` is used up
@@ -186,6 +186,7 @@ class _Work:
 
     def joined(self, sets: list[Gaussians], targets: Tensor | None) -> Gaussians:
         """All seeds as one set, trained a little further; the first seed alone, if held-out data favour that."""
+        give_back()
         joined = merged(sets)
         loss = Likelihood(self.data, self.curve) if targets is None else None
         config = self._config(
@@ -203,10 +204,12 @@ class _Work:
         self.found[part] = dataclasses.asdict(verdict) if math.isfinite(verdict.deviation) else None
         return verdict.worse
 
-    def weights(self, tones: Tensor) -> Tensor:
-        """How strongly the enhanced pictures respond to a change in tone, squared; with mean 1."""
-        more, less = self.shown(view + CHANGE for view in tones), self.shown(view - CHANGE for view in tones)
-        answer = gathered((((a - b) / (2 * CHANGE)).square() for a, b in zip(more, less, strict=True)), tones)
+    def weights(self, tones: Iterable[Tensor]) -> Tensor:
+        """How strongly the enhanced pictures respond to a change in tone, squared, [C, H, W, 3]; with mean 1."""
+        above, below = itertools.tee(tones)
+        more, less = self.shown(view + CHANGE for view in above), self.shown(view - CHANGE for view in below)
+        slopes = ((a - b) / (2 * CHANGE) for a, b in zip(more, less, strict=True))
+        answer = gathered((slope.square() for slope in slopes), self.data.light)
         return answer.div_(answer.mean())
 
     def shown(self, tones: Iterable[Tensor]) -> Iterator[Tensor]:

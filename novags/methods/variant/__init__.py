@@ -42,7 +42,8 @@ class Method:
         cameras: The camera source that the publication uses; None if it does not matter.
         sees_clean: Whether it is given the noise-free exposures; a bound, never a rival.
         sees_surface: Whether it is given the true surface and cameras too; it takes no other cameras.
-        memory: Figures that say how much main memory it takes.
+        memory: (its configuration, training views, pixels of one, first points) -> bytes of main memory at the peak of
+            a run on the CPU.
         bound: Which end of the scale of "recovered" it is, "floor" or "ceiling": the cost of noise lies between the
             two.
     """
@@ -59,7 +60,7 @@ class Method:
     cameras: str | None = None
     sees_clean: bool = False
     sees_surface: bool = False
-    memory: Memory = Memory()
+    memory: Callable[[Any, float, float, int], float] = Memory()
     bound: Literal["floor", "ceiling"] | None = None
 
 

@@ -93,6 +93,13 @@ class Recycler:
             if not blocks:
                 del self._free[size]
 
+    def clear(self) -> None:
+        """Free all blocks that nothing refers to."""
+        with self.lock:
+            self._collect()
+            self._free.clear()
+            self.free_bytes, self._lately = 0, float(self._in_use)
+
 
 def _size_class(n_bytes: int) -> int:
     """Rounded up by at most a quarter, so that a slowly growing scene finds its old blocks."""
@@ -101,7 +108,7 @@ def _size_class(n_bytes: int) -> int:
 
 
 _shared = Recycler()
-empty = _shared.empty
+empty, clear = _shared.empty, _shared.clear
 
 
 def carve(

@@ -246,6 +246,23 @@ class FitConfig:
         mode = "antialiased" if self.antialiased else "classic"
         return {"eps2d": self.eps2d, "rasterize_mode": mode, "near_plane": self.near_plane}
 
+    @property
+    def refine_stop(self) -> int:
+        """Iteration from which the population stays."""
+        stop = None if self.mcmc is None else self.mcmc.refine_stop
+        return self.iterations * 5 // 6 if stop is None else stop
+
+    def most(self, start: int) -> int:
+        """How many Gaussians `start` of them are at the end."""
+        cap = start if self.cap_max is None else self.cap_max
+        found, mcmc = min(start, cap), self.mcmc
+        if mcmc is None:
+            return found
+        last = (min(self.refine_stop, self.iterations) - 1) // mcmc.refine_every
+        for _ in range(mcmc.refine_start // mcmc.refine_every, last):
+            found = min(cap, int(mcmc.growth * found))
+        return found
+
     def opacity_reg_at(self, iteration: int) -> float:
         """Weight of the mean opacity in an iteration."""
         left = 1 - iteration / self.iterations

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from novags.splats.files.tensors import digest
 
+from ..cpu.memory import clear
 from ..gaussians import Gaussians
 from ..views import Views
 from .checkpoint import TrainingState, load_checkpoint, save_checkpoint
@@ -169,6 +170,7 @@ def fit(
             raise _stopped(stop, state, checkpoint, save) from None
         if save is not None and saving:
             save(state)
+    clear()  # the blocks of its iterations: as many bytes as there are in its state
     return FitResult(
         gaussians=state.gaussians.detach(), viewmats=current(views, state, extent).viewmats.detach(),
         config=config, losses=state.losses, seconds=time.perf_counter() - started, earlier=earlier,
@@ -316,8 +318,7 @@ def _mcmc_step(
     mcmc = config.mcmc
     if mcmc is None:
         return gaussians
-    stop = mcmc.refine_stop if mcmc.refine_stop is not None else config.iterations * 5 // 6
-    if mcmc.refine_start < iteration < stop and iteration % mcmc.refine_every == 0:
+    if mcmc.refine_start < iteration < config.refine_stop and iteration % mcmc.refine_every == 0:
         adam.reset(relocate(gaussians, _generator(config.seed, iteration, 1), _dead(gaussians, flags)))
         goal = min(cap, int(mcmc.growth * len(gaussians)))
         gaussians, drawn = grow(gaussians, goal, _generator(config.seed, iteration, 2))

@@ -70,8 +70,7 @@ def photometric_loss(image: Tensor, target: Tensor, dssim_weight: float) -> Tens
 
     Args:
         image: [H, W, C].
-        target: [H, W, C]. If it needs no gradient and both are float32 on the CPU, value and gradient come from one
-            kernel.
+        target: [H, W, C]. If both are float32 on the CPU, value and gradient come from one kernel.
         dssim_weight: w, 0..1.
 
     Returns:
@@ -81,8 +80,7 @@ def photometric_loss(image: Tensor, target: Tensor, dssim_weight: float) -> Tens
         ValueError: If the shapes differ.
     """
     _check(image, target)
-    plain = all(t.device.type == "cpu" and t.dtype == torch.float32 for t in (image, target))
-    if plain and not target.requires_grad:
+    if all(t.device.type == "cpu" and t.dtype == torch.float32 for t in (image, target)):
         return _Photometric.apply(image, target, dssim_weight)
     l1 = (image - target).abs().mean()
     if dssim_weight == 0:
@@ -105,16 +103,21 @@ def compare(image: np.ndarray, target: np.ndarray, dssim_weight: float) -> tuple
 
 
 class _Photometric(torch.autograd.Function):
-    """The gradient is made together with the value: it needs the same window sums."""
+    """The gradients are made together with the value: they need the same window sums.
+
+    Both pictures have the same part in the loss, so that of the target, where it is wanted, comes from exchanging them.
+    """
 
     @staticmethod
     def forward(ctx: Any, image: Tensor, target: Tensor, dssim_weight: float) -> Tensor:
         x, y = image.detach().contiguous().numpy(), target.detach().contiguous().numpy()
         value, v_image = compare(x, y, dssim_weight)
-        ctx.v_image = torch.from_numpy(v_image)
+        ctx.v_image, ctx.v_target = torch.from_numpy(v_image), None
+        if ctx.needs_input_grad[1]:
+            ctx.v_target = torch.from_numpy(compare(y, x, dssim_weight)[1])
         return image.new_tensor(value)
 
     @staticmethod
     @first_order
-    def backward(ctx: Any, v_loss: Tensor) -> tuple[Tensor, None, None]:
-        return v_loss * ctx.v_image, None, None
+    def backward(ctx: Any, v_loss: Tensor) -> tuple[Tensor, Tensor | None, None]:
+        return v_loss * ctx.v_image, None if ctx.v_target is None else v_loss * ctx.v_target, None

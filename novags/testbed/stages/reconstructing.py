@@ -152,7 +152,7 @@ def prepare(capture: Capture, source: Source, config: ReconstructConfig, console
             if method.sees_clean and capture.demosaiced
             else None
         ),
-        surface=true_surface(capture, source, indices, config.variant.name) if method.sees_surface else None,
+        surface=partial(true_surface, capture, source, indices, config.variant.name) if method.sees_surface else None,
         lit_mean=lit_mean(source, indices) if sees_statistics(config.config) else None,
         n_gaussians=config.points,
         names=tuple(capture.names[i] for i in indices),
@@ -166,7 +166,7 @@ def prepare(capture: Capture, source: Source, config: ReconstructConfig, console
 def said_memory(config: ReconstructConfig, views: int, capture: Capture, console: Console) -> None:
     """Say how much main memory the run will take at its peak, and whether that is more than there is."""
     rig, name = capture.cameras.rig, config.variant.name
-    needed = METHODS[config.variant.method].memory.peak(views, rig.width * rig.height, config.points)
+    needed = METHODS[config.variant.method].memory(config.config, views, rig.width * rig.height, config.points)
     free = available_bytes()
     console.note(f"reconstruct {name}: memory {needed / 1e9:.1f} GB at the peak, {free / 1e9:.1f} GB are free")
     if needed > free:
@@ -187,15 +187,15 @@ def true_surface(capture: Capture, source: Source, indices: list[int], name: str
     Raises:
         LacksInput: If it is not known.
     """
-    found = [None if source.scaled else source.views.geometry(i) for i in range(len(capture.names))]
-    known = [geometry for geometry in found if geometry is not None]
-    if len(known) < len(found):
+    found = (None if source.scaled else source.views.geometry(i) for i in range(len(capture.names)))
+    known = [(geometry["z"], geometry["geometric_normals"]) for geometry in found if geometry is not None]
+    if len(known) < len(capture.names):
         raise LacksInput(f"{name} follows the true surface, and of {capture.path} it is not known: it was made from "
                          "photographs, or from a set that was scaled down")  # fmt: skip
     return TrueSurface(
         viewmats=true_cameras(capture).numpy(), Ks=np.array(capture.cameras.rig.Ks, np.float64),
-        depth=np.stack([geometry["z"] for geometry in known]),
-        normals=np.stack([geometry["geometric_normals"] for geometry in known]), training=tuple(indices),
+        depth=np.stack([depth for depth, _ in known]), normals=np.stack([normals for _, normals in known]),
+        training=tuple(indices),
     )  # fmt: skip
 
 

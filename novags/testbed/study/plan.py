@@ -162,7 +162,7 @@ class Planner:
             kind="run", key=key, name=named(f"{name}-{self.tasks[captured].name.rpartition('-')[0]}", key),
             config=config, needs=(captured,), group=name, modules=modules,
             work=max(1, iterations) * (pixels / views + config.points), pixels=pixels,
-            memory=METHODS[config.variant.method].memory.peak(TRAINED * views, pixels / views, config.points),
+            memory=METHODS[config.variant.method].memory(config.config, TRAINED * views, pixels / views, config.points),
         ))  # fmt: skip
 
     def measurement(self, config: Measurement) -> str:

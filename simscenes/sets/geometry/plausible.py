@@ -28,13 +28,14 @@ def with_tested_tracks(views: MultiviewSet, points: SparsePoints) -> SparsePoint
     """
     pixels, depths = views.rig.project(points.xyz)
     visible = in_frame(views.rig, pixels, depths)
-    maps = [views.geometry(i) for i in range(len(views))]
-    for i, geometry in enumerate(maps):
-        if geometry is not None:
+    shown = False
+    for i in range(len(views)):
+        if (geometry := views.geometry(i)) is not None:
             visible[i] &= seen_in(views.rig, pixels[i], depths[i], geometry["z"])
         else:
             visible[i] &= not_hidden(points.xyz, views.rig.positions[i])
-    if any(geometry is None for geometry in maps):
+            shown = True
+    if shown:
         visible &= shows_its_color(views, points, pixels, visible)
     return SparsePoints.seen(views.rig, points.xyz, points.rgb, visible, exact=False)
 

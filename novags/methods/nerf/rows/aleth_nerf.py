@@ -48,5 +48,5 @@ METHOD = Method(
     train=Later("novags.methods.nerf.aleth:train"),
     parts=fit_parts,
     source="Aleth-NeRF (Cui et al. 2024)",
-    memory=Memory(fixed=0.9e9),
+    memory=Memory(fixed=1.0e9),
 )

@@ -55,5 +55,5 @@ METHOD = Method(
     train=Later("novags.methods.nerf.i2:train"),
     parts=fit_parts,
     source="I2-NeRF (Liu et al. 2025)",
-    memory=Memory(fixed=0.9e9),
+    memory=Memory(fixed=1.0e9),
 )

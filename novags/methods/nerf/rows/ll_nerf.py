@@ -51,5 +51,5 @@ METHOD = Method(
     train=Later("novags.methods.nerf.llnerf:train"),
     parts=fit_parts,
     source="LLNeRF (Wang et al. 2023)",
-    memory=Memory(fixed=1.08e9),
+    memory=Memory(fixed=1.19e9),
 )

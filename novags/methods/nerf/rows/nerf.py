@@ -13,5 +13,5 @@ METHOD = Method(
     train=Later("novags.methods.nerf.plain:train"),
     parts=fit_parts,
     source="NeRF (Mildenhall et al. 2020) with the encoding of Instant-NGP (Mueller et al. 2022)",
-    memory=Memory(fixed=0.9e9),
+    memory=Memory(fixed=1.0e9, pictures=1.25),
 )

@@ -14,5 +14,5 @@ METHOD = Method(
     parts=fit_parts,
     source="NeRF (Mildenhall et al. 2020) on simulated exposures without noise",
     sees_clean=True,
-    memory=Memory(fixed=0.9e9),
+    memory=Memory(fixed=1.0e9),
 )

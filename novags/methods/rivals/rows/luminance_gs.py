@@ -55,5 +55,5 @@ METHOD = rival(
     title="dark and lit colours for each Gaussian; the lit ones follow curves that are learned with them",
     color="#66a61e",
     source="Luminance-GS (Cui et al. 2025)",
-    memory=Memory(fixed=0.66e9, pictures=2.0, work=265.0),
+    memory=Memory(fixed=0.66e9, pictures=2.0, work=61.0),
 )

@@ -131,7 +131,7 @@ def test_the_variance_is_one_over_the_sum_of_inverse_variances() -> None:
     """Measured over draws, within five standard errors; other weights leave more than that, and would be seen."""
     world, rng, rows = World(), np.random.default_rng(0), EVERY[::5]
     scene, target = gathered(world), world.camera(TARGET)
-    sigma = np.array([0.02, 0.05, 0.1, 0.2, 0.03, 0.4])[:, None, None, None] * (0.5 + scene.exposures)
+    sigma = np.array([0.02, 0.05, 0.1, 0.2, 0.03, 0.4])[:, None, None, None] * (0.5 + np.stack(list(scene.exposures)))
     found = average(target, scene.sources, scene.exposures, sigma**2, STRICT, rows)
     inverse = np.zeros_like(found.mean)
     for source, sd in zip(scene.sources, sigma, strict=True):
@@ -194,7 +194,8 @@ def test_less_than_half_of_the_kernel_on_the_surface_is_not_enough() -> None:
 def test_holes_are_counted_and_take_the_colour_beside_them() -> None:
     world = World()
     scene = gathered(world)
-    scene.sources, scene.exposures, scene.variances = scene.sources[:1], scene.exposures[:1], scene.variances[:1]
+    scene.sources, scene.exposures = scene.sources[:1], list(scene.exposures)[:1]
+    scene.variances = list(scene.variances)[:1]
     views = Views(torch.tensor(TARGET[None]).float(), torch.tensor(world.K[None]).float(), WIDTH, HEIGHT)
     image, alpha, depth = scene.render(views)
     seen = scene.averaged(world.camera(TARGET)).views.reshape(SIZE) > 0
@@ -377,5 +378,5 @@ def test_a_saved_average_holds_every_exposure_with_its_camera_and_surface(tmp_pa
         np.testing.assert_array_equal(found["viewmats"], np.stack(AROUND))
         np.testing.assert_array_equal(found["Ks"], np.stack([World.K] * 6))
         np.testing.assert_allclose(found["planes"], np.stack([c.planes for c in scene.sources]), rtol=1e-6, atol=1e-6)
-        np.testing.assert_allclose(found["exposures"], scene.exposures, rtol=1e-6)
-        np.testing.assert_allclose(found["variances"], scene.variances, rtol=1e-6)
+        np.testing.assert_allclose(found["exposures"], list(scene.exposures), rtol=1e-6)
+        np.testing.assert_allclose(found["variances"], list(scene.variances), rtol=1e-6)

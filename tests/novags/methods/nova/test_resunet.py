@@ -2,6 +2,7 @@ import pytest
 import torch
 
 from novags.methods.nova.denoiser_config import ResUNetConfig
+from novags.methods.nova import resunet
 from novags.methods.nova.resunet import ResUNet, SqueezeExcite
 
 SMALL = ResUNetConfig(widths=(4, 6), bottleneck=8)
@@ -86,3 +87,23 @@ def test_the_gate_scales_channels():
 def test_impossible_configurations_are_refused(wrong, message):
     with pytest.raises(ValueError, match=message):
         ResUNetConfig(**wrong)
+
+
+@pytest.mark.parametrize("blocks", ["attention-residual", "plain"])
+def test_a_step_on_large_pictures_gives_the_same_gradients_and_holds_few_maps(monkeypatch, blocks):
+    """Held are tensors that autograd keeps for the way back, but for those that are computed again."""
+    torch.manual_seed(0)
+    network = ResUNet(ResUNetConfig(widths=(8, 16), bottleneck=16, blocks=blocks))
+    images, results = torch.rand(1, 3, 40, 24), []
+    for many in (1 << 18, 1):
+        monkeypatch.setattr(resunet, "MANY", many)
+        network.zero_grad()
+        held = []
+        with torch.autograd.graph.saved_tensors_hooks(lambda t, held=held: held.append(t.numel()) or t, lambda t: t):
+            loss = network(images).square().mean()
+        loss.backward()
+        results.append((loss.detach(), [p.grad.clone() for p in network.parameters()], sum(held)))
+    (one, gradients, all_maps), (other, again, few_maps) = results
+    assert torch.equal(one, other)
+    assert all(torch.equal(a, b) for a, b in zip(gradients, again, strict=True))
+    assert few_maps < all_maps / 4

@@ -100,10 +100,11 @@ def test_the_mean_of_tones_is_that_of_their_light() -> None:
     torch.testing.assert_close(CURVE.light(mean_tone([a, b], CURVE)), want)
 
 
-def test_weights_are_the_squared_slope_of_what_is_shown_with_mean_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(trainer._Work, "shown", lambda self, tones: (view**2 for view in tones))
+def test_weights_are_the_squared_slope_of_what_is_shown_with_mean_one() -> None:
     tones = torch.rand(2, 8, 8, 3, generator=torch.Generator().manual_seed(1))
-    found = trainer._Work.weights(object.__new__(trainer._Work), tones)
+    work: Any = SimpleNamespace(data=SimpleNamespace(light=tones))
+    work.shown = lambda tones: (view**2 for view in tones)
+    found = trainer._Work.weights(work, tones)
     torch.testing.assert_close(found, tones**2 / (tones**2).mean(), rtol=1e-4, atol=1e-5)
 
 

@@ -259,7 +259,7 @@ def test_stages_follow_one_another_with_rates_and_seeds_of_their_own(
     renders = [curve.light(GaussianScene(g, 0.1).render(inputs.views)[0]) for g in (calls[0][4], calls[1][4])]
     guide = curve.tone((renders[0] + renders[1]) / 2)
     h, _ = choose_bandwidth(guide, data, curve)
-    guide = non_local_means(guide, trainer.GUIDE_BANDWIDTH * h)
+    guide = torch.stack(list(non_local_means(guide, trainer.GUIDE_BANDWIDTH * h)))
     assert CONFIG.denoise is not None
     clean = torch.stack(list(denoised_light(data, curve.light(guide), CONFIG.denoise, seed=7)))
     want = curve.tone(2 / 3 * guided_light(guide, data, curve, h, 0.5) + 1 / 3 * clean)

@@ -137,6 +137,19 @@ def test_sizes_out_of_use_are_let_go_and_those_in_use_are_not():
     assert memory.free_bytes < 4 * size
 
 
+def test_what_is_cleared_is_free_memory_alone() -> None:
+    recycler = Recycler()
+    kept, freed = recycler.empty(SMALL), recycler.empty(2 * SMALL)
+    kept[:] = 7
+    del freed
+    recycler.clear()
+    assert recycler.free_bytes == 0
+    assert (kept == 7).all()
+    del kept
+    recycler.empty(10 * SMALL)  # when blocks that came back are counted
+    assert recycler.free_bytes > 0
+
+
 def test_several_threads_never_get_the_same_memory():
     memory, clashes = Recycler(), []
 

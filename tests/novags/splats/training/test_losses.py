@@ -50,11 +50,18 @@ def test_fused_loss_and_gradient_equal_autograd_in_float64(weight, shape):
     assert (x.grad - reference.grad).abs().max() < 1e-6 * (reference.grad.abs().max() + 3 / a.numel())
 
 
-def test_gradient_reaches_a_target_that_asks_for_it():
-    a, b = images(12, 12)
-    b.requires_grad_()
-    photometric_loss(a, b, 0.2).backward()
-    assert b.grad.abs().sum() > 0
+@pytest.mark.parametrize("of_image", [True, False])
+def test_gradient_of_a_target_that_asks_for_it_equals_autograd_in_float64(of_image):
+    a, b = images(23, 31)
+    x, y = a.clone().requires_grad_(of_image), b.clone().requires_grad_()
+    loss = photometric_loss(x, y, 0.2)
+    (3 * loss).backward()
+    x64, y64 = a.double().requires_grad_(of_image), b.double().requires_grad_()
+    expected = photometric_loss(x64, y64, 0.2)
+    (3 * expected).backward()
+    assert loss.item() == pytest.approx(expected.item(), abs=1e-6)
+    assert (y.grad - y64.grad).abs().max() < 1e-6 * (y64.grad.abs().max() + 3 / a.numel())
+    assert not of_image or (x.grad - x64.grad).abs().max() < 1e-6 * (x64.grad.abs().max() + 3 / a.numel())
 
 
 def test_different_shapes_are_refused():
