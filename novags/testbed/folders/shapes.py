@@ -46,7 +46,9 @@ SCORES = {
     "mean": {"*": ({"*": MEASURED}, None)}, "views": {"*": {"*": {"*": MEASURED}}}, "geometry?": (GEOMETRY, None),
     "noise?": ({"known": MEASURED, "targets": MEASURED, "renders": MEASURED, "bias_floor": MEASURED}, None),
     "training_2d": ({"enhanced": dict, "blur": BLUR, "best_blur?": BLUR}, None), "seconds": {"*": float},
-    "peak_bytes": int, "along?": [{"iterations": int, "mean": {"*": ({"*": MEASURED}, None)}}],
+    "peak_bytes": int,
+    "frames_per_second?": ({"160": float, "800": float, "device": str, "threads": int}, None),
+    "along?": [{"iterations": int, "mean": {"*": ({"*": MEASURED}, None)}}],
     "held_out?": {"psnr": {"*": float}, "stop": int},
 }  # fmt: skip
 METRICS = {"methods": {"*": SCORES}, "unavailable": {"*": str}}

@@ -23,7 +23,7 @@ UNFINISHED = "unfinished.json"  # while a stage is under way: part of nothing
 # The way in which files are hashed here: another version of this file may do it in another one.
 HOW = hashlib.blake2b(Path(__file__).read_bytes(), digest_size=8).hexdigest()
 # Entries of a record that state the result's cost, not its content.
-VOLATILE = ("stage", "place", "seconds", "predicted_seconds", "peak_bytes", "versions")
+VOLATILE = ("stage", "place", "seconds", "predicted_seconds", "peak_bytes", "frames_per_second", "versions")
 
 
 def jsonable(value: Any) -> Any:

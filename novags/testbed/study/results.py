@@ -22,7 +22,8 @@ from novags.testbed.study.plan import StudyPlan
 from sensor_model.files.atomic import write_text
 
 CSV = "results.csv"
-COSTS = ("seconds.", "peak_bytes")  # beginnings of the columns that differ from one time to the next
+# Beginnings of the columns that differ from one time to the next.
+COSTS = ("seconds.", "frames_per_second.", "peak_bytes")
 
 
 @dataclass(frozen=True)
@@ -226,7 +227,7 @@ def flat_scores(method: Mapping[str, Any]) -> dict[str, Any]:
         **method["mean"], "geometry": geometry, "noise": method.get("noise") or {},
         "cameras": {name: cameras.get(name) for name in ("registered_share", "mean_rotation_deg",
                                                          "mean_centre_error") if name in cameras},
-        "seconds": method["seconds"],
+        "seconds": method["seconds"], "frames_per_second": method.get("frames_per_second") or {},
     }  # fmt: skip
     return {**dict(_flat(chosen, "")), **length_columns(method), "peak_bytes": method["peak_bytes"]}
 

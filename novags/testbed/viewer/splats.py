@@ -13,11 +13,9 @@ from novags.methods.nerf.scene import load_field
 from novags.methods.problem import encode
 from novags.methods.reconstruction import ReconstructedScene
 from novags.methods.rivals.denoised_scene import with_denoiser
-from novags.methods.tone import ResponseTable, ToneCurve
-from novags.splats.files.ply import read_ply
+from novags.methods.saved import saved_gaussians
 from novags.splats.raster.raster_torch import quat_to_rotmat
 from novags.splats.sh import sh_to_rgb
-from novags.splats.training.config import NEAR, FitConfig
 from novags.splats.views import Views
 from novags.testbed.folders.run import SCENE, Run
 
@@ -79,16 +77,7 @@ def gaussians_of(run: Run) -> GaussianScene | None:
         ValueError: If its file is damaged.
     """
     path = run.path / SCENE
-    if not path.is_file():
-        return None
-    dilation = float(run.record.get("eps2d", FitConfig.eps2d))
-    antialiased = bool(run.record.get("antialiased", FitConfig.antialiased))
-    near = float(run.record.get("near_plane", NEAR))
-    tone, matrix = run.record.get("tone"), run.record.get("matrix")
-    curve, rows = None if tone is None else ToneCurve(**tone), None if matrix is None else torch.tensor(matrix)
-    found = run.record.get("response")
-    response = None if found is None else ResponseTable(**{**found, "values": tuple(found["values"])})
-    return GaussianScene(read_ply(path), dilation, antialiased, near, curve, rows, response)
+    return saved_gaussians(path, run.record) if path.is_file() else None
 
 
 def rendered(

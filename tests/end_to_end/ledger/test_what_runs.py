@@ -21,6 +21,7 @@ from novags.testbed.ledger import stage
 from novags.testbed.ledger.reach import PACKAGES, is_outside, reached, source_of
 from novags.testbed.stages.configs.capturing import CaptureConfig
 from novags.testbed.stages.configs.importing import ImportConfig
+from novags.testbed.stages.scores import scoring
 from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
 from simscenes.sets.writers.layouts import EXPORTS
 
@@ -101,6 +102,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[str, ...], set[
     preset = adapted(EXPERIMENTS["demo"], **SMALL, methods=METHODS)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(stage._Stage, "make", make_watched)
+        patch.setattr(scoring, "frames_per_second", lambda *_: None)  # drawn to be timed: no result depends on it
         stages.render(folder / "set", replace(preset.render, export=("llff",)), QUIET)
         stages.capture(folder / "set", folder / "capture", preset.capture, QUIET)
         for name in METHODS:

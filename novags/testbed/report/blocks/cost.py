@@ -2,16 +2,19 @@
 
 from collections.abc import Mapping
 from pathlib import Path
+from statistics import fmean
 from typing import Any
 
 from markupsafe import Markup
 
 from novags.testbed.console.provenance import PACKAGES
+from novags.testbed.console.speed import WIDTHS
 from novags.testbed.folders.run import METRICS, Run
 from novags.testbed.ledger.contents import read_json
 from novags.testbed.report.material import Material
 from novags.testbed.report.parts import Column, Page, Table, TableCell, TableRow, heads, num
 from novags.testbed.report.words import duration, size
+from novags.testbed.study.light import METHOD
 
 BAR = Markup('<span class="bar {}" style="width:{:.1f}%"></span><small class="muted">{}</small>')
 WIDE = Markup(' class="wide" data-value="{}"')
@@ -36,7 +39,7 @@ def cost(material: Material, page: Page) -> dict[str, Any] | None:
     runs = {each.name: each.run for each in material.made.values()}
     main = runs[material.one.main] if material.one else next(iter(runs.values()))
     return {"table": Table("costs", "Time and memory of every stage", columns, rows), "mixed": mixed(runs),
-            "shared": several, "hardware": main.record["stage"]["hardware"]}  # fmt: skip
+            "shared": several, "hardware": main.record["stage"]["hardware"], "speed": speed(material)}  # fmt: skip
 
 
 def costs(material: Material) -> list[dict[str, Any]]:
@@ -67,6 +70,27 @@ def costs(material: Material) -> list[dict[str, Any]]:
     seconds = [row["seconds"] for row in found]
     whole, longest = sum(seconds) or 1.0, max(seconds, default=0.0) or 1.0
     return [{**row, "share": row["seconds"] / whole, "bar": row["seconds"] / longest} for row in found]
+
+
+def speed(material: Material) -> Table | None:
+    """How fast the Gaussians of each method are drawn: means over its runs, and what drew them."""
+    found: dict[str, list[Mapping[str, Any]]] = {}
+    for row in material.rows:
+        if all(isinstance(row.get(f"frames_per_second.{width}"), int | float) for width in WIDTHS):
+            found.setdefault(str(row[METHOD]), []).append(row)
+    if not found:
+        return None
+    rows = [TableRow([name, *(num(rate, 1 if rate < 10 else 0) for width in WIDTHS
+                              for rate in [fmean(row[f"frames_per_second.{width}"] for row in mine)]),
+                      ", ".join(dict.fromkeys(map(_drawn_by, mine)))])
+            for name, mine in found.items()]  # fmt: skip
+    columns = heads(" | ".join(["Method", *(f"#{width} px wide [1/s]" for width in WIDTHS), "Drawn by"]))
+    return Table("speed", "Pictures in a second", columns, rows)
+
+
+def _drawn_by(row: Mapping[str, Any]) -> str:
+    threads = row.get("frames_per_second.threads")
+    return "GPU" if row.get("frames_per_second.device") == "cuda" else f"{threads} thread{'' if threads == 1 else 's'}"
 
 
 def _parts(stages: Mapping[Path, Mapping[str, Any]]) -> dict[str, float]:

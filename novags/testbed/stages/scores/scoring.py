@@ -9,11 +9,12 @@ import numpy as np
 
 from novags.methods.enhancers import ENHANCERS
 from novags.methods.problem import encode
+from novags.testbed.console.speed import frames_per_second
 from novags.testbed.console.terminal import Console, Update
 from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.exposures import Exposures, as_compared, exposures_of
 from novags.testbed.folders.references import LINEAR, missing_references, references, true_depth
-from novags.testbed.folders.run import METRICS, Run, open_run
+from novags.testbed.folders.run import CAMERAS, METRICS, SCENE, Run, open_run
 from novags.testbed.folders.set import Source
 from novags.testbed.folders.truth_noise import reference_halves
 from novags.testbed.ledger.code import Code, code_of
@@ -68,6 +69,7 @@ def _score(run_path: Path, console: Console) -> dict[str, Any]:
             "cameras": run.record.get("cameras"),
             "seconds": stage_seconds(run, captured, lit),
             "peak_bytes": run.peak_bytes,
+            "frames_per_second": frames_per_second(run.path / SCENE, run.path / CAMERAS, run.record),
         }
         unavailable = dict(lacking)
         if scores["geometry"] is None:

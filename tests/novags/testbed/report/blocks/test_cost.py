@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from novags.testbed.report.blocks import cost
-from novags.testbed.report.blocks.cost import costs, mixed
+from novags.testbed.report.blocks.cost import costs, mixed, speed
 
 
 def run(processor: str = "P", gpu: str | None = None, **versions: str) -> Any:
@@ -51,7 +51,7 @@ def test_every_stage_has_a_row_and_any_that_was_done_often_a_count(
     monkeypatch.setattr(cost, "costs", lambda _: rows)
     monkeypatch.setattr(cost, "mixed", lambda _: [])
     run = SimpleNamespace(name="a", run=SimpleNamespace(record={"stage": {"hardware": {}}}))
-    material: Any = SimpleNamespace(made={1: run}, one=None)
+    material: Any = SimpleNamespace(made={1: run}, one=None, rows=[])
     found = cost.cost(material, None)  # type: ignore[arg-type]
     assert found is not None
     assert [row.cells[0] for row in found["table"].rows] == [row["label"] for row in rows]
@@ -90,3 +90,21 @@ def test_every_stage_of_every_run_counts_and_what_is_shared_counts_once(tmp_path
     assert {label: row["bar"] for label, row in found.items() if row["bar"] == 1} == {"reconstruct: a": 1.0}
     material.study = ("folder", {})
     assert "score" not in {row["label"] for row in costs(material)}
+
+
+def drawn(method: str, slow: float, **more: Any) -> dict[str, Any]:
+    rates = {"160": 10 * slow, "800": slow, "device": "cpu", "threads": 2, **more}
+    return {"method": method, **{f"frames_per_second.{name}": value for name, value in rates.items()}}
+
+
+def test_the_rate_of_a_method_is_the_mean_over_its_runs_with_what_drew_them() -> None:
+    rows = [drawn("a", 2.0), drawn("a", 4.0, threads=1), drawn("b", 50.0, device="cuda"), {"method": "nerf"}]
+    table = speed(SimpleNamespace(rows=rows))  # type: ignore[arg-type]
+    assert table is not None
+    shown = [[cell if isinstance(cell, str) else cell.text for cell in row.cells] for row in table.rows]
+    assert shown == [["a", "30", "3.0", "2 threads, 1 thread"], ["b", "500", "50", "GPU"]]
+
+
+def test_runs_that_were_never_timed_make_no_table() -> None:
+    rows = [{"method": "nerf"}, {"method": "a", "frames_per_second.160": None, "frames_per_second.800": 3.0}]
+    assert speed(SimpleNamespace(rows=rows)) is None  # type: ignore[arg-type]

@@ -88,9 +88,11 @@ def test_runs_are_counted_by_their_state() -> None:
 def test_all_scores_and_costs_are_columns() -> None:
     method = {"mean": {"lit": {"psnr": 1.0, "flip": 2.0}, "gone": None}, "geometry": {"abs_rel": 3.0}, "noise": None,
               "cameras": {"registered_share": 1.0, "mean_centre_error": 0.5, "source": "known"},
-              "seconds": {"render": 4.0, "fit": 5.0}, "peak_bytes": 6}  # fmt: skip
+              "seconds": {"render": 4.0, "fit": 5.0}, "peak_bytes": 6,
+              "frames_per_second": {"160": 7.0, "device": "cpu"}}  # fmt: skip
     assert flat_scores(method) == {
         "lit.psnr": 1.0, "lit.flip": 2.0, "gone": None, "geometry.abs_rel": 3.0, "cameras.registered_share": 1.0,
         "cameras.mean_centre_error": 0.5, "seconds.render": 4.0, "seconds.fit": 5.0, "peak_bytes": 6,
+        "frames_per_second.160": 7.0, "frames_per_second.device": "cpu",
     }  # fmt: skip
-    assert results.COSTS == ("seconds.", "peak_bytes")
+    assert results.COSTS == ("seconds.", "frames_per_second.", "peak_bytes")
