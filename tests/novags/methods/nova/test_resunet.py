@@ -1,8 +1,8 @@
 import pytest
 import torch
 
-from novags.methods.nova.denoiser_config import ResUNetConfig
 from novags.methods.nova import resunet
+from novags.methods.nova.denoiser_config import ResUNetConfig
 from novags.methods.nova.resunet import ResUNet, SqueezeExcite
 
 SMALL = ResUNetConfig(widths=(4, 6), bottleneck=8)
