@@ -1,6 +1,7 @@
 """The average over views by truth as a row of `METHODS`."""
 
 from novags.methods.averaging.config import AveragingConfig
+from novags.methods.memory import Memory
 from novags.methods.variant import Method
 from sensor_model.files.registry import Later
 
@@ -14,4 +15,5 @@ METHOD = Method(
     source="the Gauss-Markov theorem, and cubic convolution (Keys 1981)",
     sees_clean=True,
     sees_surface=True,
+    memory=Memory(fixed=0.6e9, pictures=5.5),
 )

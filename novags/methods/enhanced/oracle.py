@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from novags.methods.enhanced.config import EnhancedFitConfig, fit_parts
+from novags.methods.memory import Memory
 from novags.methods.variant import Method
 from sensor_model.files.registry import Later
 
@@ -23,5 +24,6 @@ METHOD = Method(
     parts=fit_parts,
     source="3DGS-MCMC (Kheradmand et al. 2024) on simulated exposures without noise",
     sees_clean=True,
+    memory=Memory(pictures=3.0),
     bound="ceiling",
 )

@@ -134,24 +134,23 @@ class GatedLevel(nn.Module):
             *_conv(channels, channels, kind, 1.0), SqueezeExcite(channels, config.se_reduction),
         )  # fmt: skip
 
-    def forward(self, x: Tensor) -> Tensor:
-        """x: [B, channels_in, H, W] to [B, channels, H, W]."""
-        x = _forgetting(self.enter, x)
+    def forward(self, x: Tensor, large: bool = False) -> Tensor:
+        """x: [B, channels_in, H, W] to [B, channels, H, W]; `large`: whether parts of it keep their inputs alone."""
+        x = _forgetting(large, self.enter, x)
         if self.plain:
-            return _forgetting(self.second, x)
+            return _forgetting(large, self.second, x)
         half = len(self.residual) // 2
-        between = _forgetting(self.residual[:half], x)
-        return _forgetting(lambda a, b: F.leaky_relu_(a + self.residual[half:](b), 0.2), x, between)
+        between = _forgetting(large, self.residual[:half], x)
+        return _forgetting(large, lambda a, b: F.leaky_relu_(a + self.residual[half:](b), 0.2), x, between)
 
 
-def _forgetting(part: Callable[..., Tensor], *inputs: Tensor) -> Tensor:
-    """The result of a part of the network, which keeps its inputs alone where images are large on a CPU.
+def _forgetting(large: bool, part: Callable[..., Tensor], *inputs: Tensor) -> Tensor:
+    """The result of a part of the network, which keeps its inputs alone where images are `large`.
 
     A step would otherwise hold 10 kB for each pixel until its gradients are made. What a part needs for its own is
     computed again, with the same bits.
     """
-    x = inputs[0]
-    if x.device.type != "cpu" or x.numel() < MANY * x.shape[1] or not torch.is_grad_enabled():
+    if not large or not torch.is_grad_enabled():
         return part(*inputs)
     found: Tensor = checkpoint(part, *inputs, use_reentrant=False, preserve_rng_state=False)
     return found
@@ -184,7 +183,8 @@ class ResUNet(nn.Module):
             [B, D, H, W] float32, not clipped.
         """
         height, width = images.shape[-2:]
-        if images.device.type == "cpu" and height * width >= MANY:
+        large = images.device.type == "cpu" and height * width >= MANY
+        if large:
             give_back()  # what was freed before would stay beside the maps
         multiple = 2 ** len(self.encoder)
         # Two px at the bottleneck: reflection by one pixel does not exist in an image of one.
@@ -193,30 +193,33 @@ class ResUNet(nn.Module):
         mode = "reflect" if down < height and right < width else "replicate"
         x = F.pad(images, (0, right, 0, down), mode=mode) if down or right else images
         x = x.contiguous(memory_format=torch.channels_last)
-        x = self._run(x.bfloat16() if self.config.precision == "bfloat16" else x)
+        x = self._run(x.bfloat16() if self.config.precision == "bfloat16" else x, large)
         return x[..., :height, :width].to(images.dtype)
 
-    def _run(self, x: Tensor) -> Tensor:
+    def _run(self, x: Tensor, large: bool) -> Tensor:
         skips: list[Tensor] = []
         for level in self.encoder:
-            x = _forgetting(partial(_descended, level), x) if skips else _forgetting(level, x)
+            x = _forgetting(large, partial(_descended if skips else _entered, level, large), x)
             skips.append(x)
-        x = _forgetting(partial(_descended, self.bottleneck), x)
+        x = _forgetting(large, partial(_descended, self.bottleneck, large), x)
         for reduce, level, skip in zip(self.reduce[::-1], self.decoder[::-1], skips[::-1], strict=True):
-            x = _forgetting(partial(_ascended, reduce, level), skip, x)
+            x = _forgetting(large, partial(_ascended, reduce, level, large), skip, x)
         return self.head(x)
 
 
-def _descended(level: nn.Module, x: Tensor) -> Tensor:
-    """The level below."""
-    found: Tensor = level(F.max_pool2d(x, 2))
+def _entered(level: nn.Module, large: bool, x: Tensor) -> Tensor:
+    found: Tensor = level(x, large)
     return found
 
 
-def _ascended(reduce: nn.Module, level: nn.Module, skip: Tensor, x: Tensor) -> Tensor:
+def _descended(level: nn.Module, large: bool, x: Tensor) -> Tensor:
+    """The level below."""
+    return _entered(level, large, F.max_pool2d(x, 2))
+
+
+def _ascended(reduce: nn.Module, level: nn.Module, large: bool, skip: Tensor, x: Tensor) -> Tensor:
     """The level above, which sees the encoder's maps of its size."""
     # The paper enlarges first. Both are linear and the weights of a pixel add up to one, so this is the same, with a
     # quarter of the pixels to reduce and half of the channels to enlarge.
     x = F.interpolate(reduce(x), scale_factor=2, mode="bilinear", align_corners=False)
-    found: Tensor = level(torch.cat([x, skip], 1))
-    return found
+    return _entered(level, large, torch.cat([x, skip], 1))

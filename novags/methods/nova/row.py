@@ -8,7 +8,7 @@ from novags.methods.variant import Method
 from sensor_model.files.registry import Later
 
 FIGURES = Memory(fixed=0.65e9, pictures=3.0, work=65.0)
-STEP, LONG_STEP = 830.0, 200.0  # pictures of its size that a step on a whole view takes, of few and of `MANY` pixels
+STEP, LONG_STEP = 830.0, 75.0  # pictures of its size that a step on a whole view takes, of few and of `MANY` pixels
 
 
 def memory(config: NovaConfig, views: float, pixels: float, points: int) -> float:

@@ -8,14 +8,16 @@ from novags.methods.nova_plus.knobs import KNOBS
 from novags.methods.variant import Method
 from sensor_model.files.registry import Later
 
-FIGURES = Memory(fixed=0.7e9, gaussian=1600.0, pictures=4.0, work=100.0)
+BETWEEN = Memory(fixed=0.7e9, gaussian=500.0, pictures=4.0, work=60.0)  # stages: Gaussians rest
+MERGED = Memory(fixed=0.7e9, gaussian=1600.0, pictures=2.0, work=60.0)  # and beside them the sets that they come from
 
 
 def memory(config: NovaPlusConfig, views: float, pixels: float, points: int) -> float:
-    """`Method.memory`: most is wanted while all seeds are trained as one set."""
+    """`Method.memory`: of the pictures between stages, or of all seeds that are trained as one set."""
     iterations, each = config.iterations("structure"), config.gaussians_each(views * pixels)
     stage = replace(config.fit, iterations=iterations, cap_max=each)
-    return FIGURES.peak(views, pixels, config.seeds * stage.most(points))
+    gaussians = config.seeds * stage.most(points)
+    return max(figures.peak(views, pixels, gaussians) for figures in (BETWEEN, MERGED))
 
 
 METHOD = Method(

@@ -11,7 +11,6 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from novags.splats import FitConfig, Gaussians, LearningRates, McmcConfig, Step, Views, fit, rasterize
-from novags.splats.cpu import memory
 from novags.splats.training.config import CameraRefinement
 
 SIZE, N_VIEWS = 32, 6
@@ -66,17 +65,9 @@ def test_training_lowers_the_loss_and_grows_to_the_cap():
 @pytest.mark.parametrize("changes", [{}, {"refine_stop": 12}, {"refine_start": 9}, {"growth": 1.0}])
 @pytest.mark.parametrize("cap", [None, 200, 330, 10_000])
 def test_a_population_becomes_as_large_as_its_configuration_says(cap, changes):
-    gaussians, views, images = problem()
-    moves = McmcConfig(**{"refine_start": 3, "refine_every": 3, "growth": 1.1} | changes)
-    chosen = config(iterations=17, cap_max=cap, mcmc=moves)
-    result = fit(gaussians, views, images.__getitem__, chosen)
-    assert chosen.most(len(gaussians)) == len(result.gaussians)
-
-
-def test_a_fit_keeps_no_memory_for_the_next():
-    gaussians, views, images = problem()
-    fit(gaussians, views, images.__getitem__, config(iterations=3))
-    assert memory._shared.free_bytes == 0
+    (gaussians, views, images), every = problem(), {"refine_start": 3, "refine_every": 3, "growth": 1.1}
+    chosen = config(iterations=17, cap_max=cap, mcmc=McmcConfig(**every | changes))
+    assert chosen.most(len(gaussians)) == len(fit(gaussians, views, images.__getitem__, chosen).gaussians)
 
 
 def test_the_same_seed_gives_the_same_bits_and_another_does_not():
