@@ -8,7 +8,7 @@ from novags.methods.nova_plus.knobs import KNOBS
 from novags.methods.variant import Method
 from sensor_model.files.registry import Later
 
-BETWEEN = Memory(fixed=0.7e9, gaussian=500.0, pictures=4.0, work=60.0)  # stages: Gaussians rest
+BETWEEN = Memory(fixed=0.7e9, gaussian=1000.0, pictures=4.0, work=60.0)  # stages: Gaussians rest
 MERGED = Memory(fixed=0.7e9, gaussian=1600.0, pictures=2.0, work=60.0)  # and beside them the sets that they come from
 
 
