@@ -26,7 +26,7 @@ class PlainResUNet(ResUNet):
             for name, child in list(module.named_children()):
                 setattr(module, name, _plain(child))
 
-    def _run(self, x: Tensor) -> Tensor:
+    def _run(self, x: Tensor, large: bool = False) -> Tensor:  # levels always keep their maps here
         with torch.autocast(x.device.type, torch.bfloat16, enabled=x.dtype == torch.bfloat16):
             x, skips = x.float(), []
             for level in self.encoder:
