@@ -8,6 +8,7 @@ from typing import Any
 
 import tyro
 
+from novags.commands.comparing import compare
 from novags.commands.dataset import dataset
 from novags.commands.every import HELP, without_common
 from novags.commands.experiment import run
@@ -41,6 +42,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
         reconstruct,
         score,
         explain,
+        compare,
         report,
         view,
         video,

@@ -27,9 +27,18 @@ WRONG = {
     "FLOAT": (LONG, LONGER, "nan", "inf", "-inf", "1e308", "1e37", "-1", ""),
 }
 CALLED = {"denoiser-steps": "(denoiser-steps|warmup_steps)", "score-at": "(score-at|keep_at)"}  # by the configuration
-MEANT = {"what": "render", "scene": "tabletop", "sensor": "ideal", "electrons": "9"}
+MEANT = {
+    "base": "naive",
+    "changed": "naive-l1",
+    "what": "render",
+    "scene": "tabletop",
+    "sensor": "ideal",
+    "electrons": "9",
+}
+CALLED["seeds"] = "seed"
 CALLED["tolerance"] = "(tolerance|sd)"  # as the planner calls it
-RIGHT = {("seed", str(2**63)), ("seed", str(2**31)), ("aperture-radius", "1e37"), ("focus-distance", "1e37")}
+RIGHT = {(name, str(2**bits)) for name in ("seed", "seeds") for bits in (31, 63)}
+RIGHT |= {("aperture-radius", "1e37"), ("focus-distance", "1e37")}
 
 
 @pytest.fixture
