@@ -22,8 +22,8 @@ import os
 import random
 import re
 import sys
-from collections import defaultdict
-from collections.abc import Iterator
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -115,13 +115,25 @@ def groups(careless: bool) -> list[Group]:
     return [(sources, [test for test in tests if "/test_" in test]) for sources, tests in named]
 
 
+def _left(name: str, every: Iterable[Mutant], before: Counter[tuple[str, str, str]]) -> Iterator[Mutant]:
+    """The mutants of a file that no list names. Of several that read alike the first ones count as named: a list does
+    not tell them apart.
+    """
+    for mutant in every:
+        text = (name, *difference(mutant.before, mutant.after)) if before else None
+        if text is not None and before[text] > 0:
+            before[text] -= 1
+        else:
+            yield mutant
+
+
 def chosen(options: Any) -> list[Placed]:
     """The mutants to judge: of all kinds, shared out among the files; of chosen kinds, as many of each kind."""
     names = [name for sources, _ in groups(bool(options.kinds)) for name in sources if re.search(options.only, name)]
-    before = {mutant for path in options.beside for mutant in listed(path.read_text(encoding="utf-8"))}
-    found = {name: [m for m in mutants((ROOT / name).read_text(encoding="utf-8"))
-                    if not before or (name, *difference(m.before, m.after)) not in before]
-             for name in names}  # fmt: skip
+    before = Counter[tuple[str, str, str]]()
+    for path in options.beside:
+        before += listed(path.read_text(encoding="utf-8"))
+    found = {name: list(_left(name, mutants((ROOT / name).read_text(encoding="utf-8")), before)) for name in names}
     placed = {name: [(name, mutant) for mutant in every] for name, every in found.items()}
     if options.kinds:
         candidates = [one for every in placed.values() for one in every if one[1].kind in options.kinds]

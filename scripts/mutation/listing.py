@@ -2,6 +2,7 @@
 
 import ast
 import re
+from collections import Counter
 from collections.abc import Iterable
 from typing import Any
 
@@ -23,10 +24,12 @@ def listing(entries: Iterable[dict[str, Any]], notes: dict[str, str | None]) -> 
     return "\n".join(lines).strip() + "\n"
 
 
-def listed(text: str) -> set[tuple[str, str, str]]:
-    """The mutants that a list names, as files and both texts; lines of a source move and do not count."""
-    found = re.findall(r"^- (\S+):\d+ `([^`]*)` becomes `([^`]*)`;", text, re.M)
-    return {(file, before, after) for file, before, after in found}
+def listed(text: str) -> Counter[tuple[str, str, str]]:
+    """The mutants that a list names, as files and both texts; lines of a source move and do not count.
+
+    Some read alike: each text with how often the list has it.
+    """
+    return Counter(re.findall(r"^- (\S+):\d+ `([^`]*)` becomes `([^`]*)`;", text, re.M))
 
 
 def _line(entry: dict[str, Any], why: str | None) -> str:
