@@ -1,4 +1,4 @@
-"""What a comparison finds: how far changed is above base, with the error of that, and what each of them cost."""
+"""The verdict of a comparison: the difference of changed to base with its error, and the costs of both."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -18,7 +18,7 @@ ROLES = ("base", "changed")
 
 
 @dataclass(frozen=True)
-class Verdict:
+class ComparisonVerdict:
     """Both sides of one method, or two methods."""
 
     names: Mapping[str, str]  # what base and changed are
