@@ -8,7 +8,6 @@ from typing import Any
 
 import tyro
 
-from novags.commands.comparing import compare
 from novags.commands.dataset import dataset
 from novags.commands.every import HELP, without_common
 from novags.commands.experiment import run
@@ -20,7 +19,7 @@ from novags.commands.photographs import denoise, import_
 from novags.commands.results import characterise, explain, export_results, report, score
 from novags.commands.stages import capture, plan, poses, reconstruct, render
 from novags.commands.store import store
-from novags.commands.study import study
+from novags.commands.study import compare, study
 from novags.failure import errors_in_one_line, warnings_in_one_line
 
 NUMBERS = tyro.constructors.ConstructorRegistry()

@@ -28,8 +28,8 @@ WRONG = {
 }
 CALLED = {"denoiser-steps": "(denoiser-steps|warmup_steps)", "score-at": "(score-at|keep_at)"}  # by the configuration
 MEANT = {
-    "base": "naive",
-    "changed": "naive-l1",
+    "base": "nova-fast",
+    "changed": "nova",
     "what": "render",
     "scene": "tabletop",
     "sensor": "ideal",

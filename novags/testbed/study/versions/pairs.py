@@ -25,7 +25,7 @@ ITERATIONS, POINTS = 800, 4000  # of fits of these
 
 
 @dataclass(frozen=True)
-class Case:
+class FittedCase:
     """A capture, and the seed of the fits of it."""
 
     path: Path
@@ -52,7 +52,7 @@ class Fit:
 class Pair:
     """The same fit by both sides."""
 
-    case: Case
+    case: FittedCase
     method: str  # as the comparison calls it
     base: Fit
     changed: Fit
@@ -71,7 +71,7 @@ def made(scenes: Sequence[str], seeds: Sequence[int], preset: str, store: Path, 
     return plan_of(study_of(Path("compare"), table, "capture"), store, console)
 
 
-def make(plan: StudyPlan, out: Path, store: Path, console: Console) -> list[Case]:
+def make(plan: StudyPlan, out: Path, store: Path, console: Console) -> list[FittedCase]:
     """Make these captures where they are not there yet; each is fitted with the seed of its noise.
 
     Raises:
@@ -80,17 +80,17 @@ def make(plan: StudyPlan, out: Path, store: Path, console: Console) -> list[Case
     rows = conduct(plan, out, store, console, OneMachine.shared(len(plan.runs), None), retry_failed=True)
     if failed := next((row for row in rows if row["state"] != "done"), None):
         raise ValueError(f"no capture of {failed['scene']}: {failed['reason']}")
-    return [Case(plan.tasks[key].folder(store), str(cell.values["scene"]), str(cell.values["seed"]),
+    return [FittedCase(plan.tasks[key].folder(store), str(cell.values["scene"]), str(cell.values["seed"]),
                  int(cell.values["seed"])) for cell, key in plan.runs]  # fmt: skip
 
 
-def given(folders: Sequence[Path], seeds: Sequence[int], console: Console) -> list[Case]:
+def given(folders: Sequence[Path], seeds: Sequence[int], console: Console) -> list[FittedCase]:
     """The captures in folders of captures, of runs, and of experiments, each to be fitted with every seed.
 
     Raises:
         ValueError: If a folder is none of them, or two captures would lie in one place.
     """
-    found = dict[Path, list[Case]]()
+    found = dict[Path, list[FittedCase]]()
     scenes = dict[str, str]()  # by the content of the set: captures of one set are of one scene
     for folder in folders:
         place = next((place for place in (folder, folder / "capture") if (place / captures.RECORD).exists()), None)
@@ -99,8 +99,8 @@ def given(folders: Sequence[Path], seeds: Sequence[int], console: Console) -> li
                              f"{captures.RECORD} nor {RECORD}: name one, or leave --captures out")  # fmt: skip
         capture = open_capture(place or open_run(folder).capture().path)
         path, told = resolved(capture.path), capture.record.simulated
-        scene = scenes.setdefault(capture.source(console).content, Case(path, "", "", 0).name.removesuffix("-s0"))
-        found[path] = [Case(path, scene, "" if told is None else str(told.noise_seed), seed) for seed in seeds]
+        scene = scenes.setdefault(capture.source(console).content, FittedCase(path, "", "", 0).name.removesuffix("-s0"))
+        found[path] = [FittedCase(path, scene, "" if told is None else str(told.noise_seed), seed) for seed in seeds]
     cases = [case for several in found.values() for case in several]
     names = [case.name for case in cases]
     if twice := next((name for name in names if names.count(name) > 1), None):
@@ -109,7 +109,11 @@ def given(folders: Sequence[Path], seeds: Sequence[int], console: Console) -> li
 
 
 def fit_pairs(
-    sides: tuple[Side, Side], cases: Sequence[Case], words: Mapping[str, Sequence[str]], out: Path, console: Console
+    sides: tuple[Side, Side],
+    cases: Sequence[FittedCase],
+    words: Mapping[str, Sequence[str]],
+    out: Path,
+    console: Console,
 ) -> list[Pair]:
     """Make and score all fits that are not there yet.
 

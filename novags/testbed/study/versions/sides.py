@@ -13,7 +13,7 @@ from novags.methods.variant import Variant
 from novags.testbed.folders.run import RECORD
 from novags.testbed.ledger.contents import UNFINISHED, read_json, write_json
 from sensor_model.files import outside
-from sensor_model.files.atomic import remove
+from sensor_model.files.atomic import remove, write_text
 from sensor_model.files.door import resolved
 from sensor_model.files.python import ROOT, import_path, python
 from sensor_model.files.reading import brief
@@ -33,12 +33,10 @@ from novags.warm import PARTS, compile_ahead
 for part in ("gaussians", "fields"):
     compile_ahead(part, print)
     PARTS[part].warm()
-spent, *words = sys.argv[1:]
-sys.argv = ["novags", *words]
+sys.argv[0] = "novags"
 before = time.process_time()
 novags.cli.main()
-with open(spent, "w") as file:
-    file.write(repr(time.process_time() - before))
+print(time.process_time() - before)
 """
 
 
@@ -86,23 +84,21 @@ class Side:
             ValueError: If it fails; with the last line of its log.
         """
         before = (out / RECORD).stat().st_mtime_ns if (out / RECORD).exists() else None
-        whole, spent = not (out / UNFINISHED).exists(), log.with_suffix(".cpu")
-        log.parent.mkdir(parents=True, exist_ok=True)
+        whole, kept = not (out / UNFINISHED).exists(), log.with_suffix(".json")
         path = [str(self.root), *(folder for folder in import_path() if folder != ROOT)]
         plugins = [word for file in outside.files() for word in ("--plugin", str(file.absolute()))]
-        command = python(PROGRAM.format(path=path), str(spent.absolute()), "reconstruct", *words, "--out",
+        command = python(PROGRAM.format(path=path), "reconstruct", *words, "--out",
                          str(out.absolute()), *plugins)  # fmt: skip
-        with log.open("wb") as file:
-            done = subprocess.run(command, stdin=subprocess.DEVNULL, stdout=file, stderr=file, cwd=log.parent)
+        done = subprocess.run(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+        write_text(log, said := done.stdout.decode("utf-8", "replace"))
+        lines = said.strip().splitlines() or ["no message"]
         if done.returncode:
-            lines = [line for line in log.read_text("utf-8", "replace").splitlines() if line.strip()] or ["no message"]
             raise ValueError(
                 f"{self.role} ({self.said}): {brief(lines[-1].removeprefix('novags: error: '))} (log: {log})"
             )
-        key, kept = read_json(out / RECORD)["stage"]["key"], log.with_suffix(".json")
+        key = read_json(out / RECORD)["stage"]["key"]
         if (out / RECORD).stat().st_mtime_ns != before and whole:
-            write_json(kept, {"key": key, "cpu_seconds": float(spent.read_text())})
-        spent.unlink()
+            write_json(kept, {"key": key, "cpu_seconds": float(lines[-1])})
         known = read_json(kept, SPENT) if kept.exists() else {}
         return float(known["cpu_seconds"]) if known.get("key") == key else None
 

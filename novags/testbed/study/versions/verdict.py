@@ -1,4 +1,4 @@
-"""What a comparison finds: how far changed is above base, with the error of that, and what each of them cost."""
+"""The verdict of a comparison: the difference of changed to base with its error, and the costs of both."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -18,7 +18,7 @@ ROLES = ("base", "changed")
 
 
 @dataclass(frozen=True)
-class Verdict:
+class ComparisonVerdict:
     """Both sides of one method, or two methods."""
 
     names: Mapping[str, str]  # what base and changed are
@@ -101,10 +101,10 @@ class Verdict:
             span = "" if half is None or self.ratio.error is None else (
                 f" ± {ratio * self.ratio.error:.3f}, 95 %: {ratio * math.exp(-half):.3f} to "
                 f"{ratio * math.exp(half):.3f}")  # fmt: skip
-            found.append(f"  {'processor seconds':<{width}}  {costs['changed']['cpu_seconds']:.1f} and "
-                         f"{costs['base']['cpu_seconds']:.1f} a fit: {ratio:.3f} times{span}")  # fmt: skip
+            found.append(f"  {'processor seconds':<{width}}  {costs['changed']['cpu_seconds']:.1f} (changed) and "
+                         f"{costs['base']['cpu_seconds']:.1f} (base) a fit: {ratio:.3f} times{span}")  # fmt: skip
         found.append(f"  {'peak memory':<{width}}  " + " and ".join(
-            f"{costs[role]['peak_bytes'] / 1e6:.0f}" for role in reversed(ROLES)) + " MB")  # fmt: skip
+            f"{costs[role]['peak_bytes'] / 1e6:.0f} ({role})" for role in reversed(ROLES)) + " MB")  # fmt: skip
         return [*found, self.headline]
 
     def record(self) -> dict[str, Any]:

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from novags.testbed.study.versions.pairs import Case, Fit, Pair
-from novags.testbed.study.versions.verdict import Verdict
+from novags.testbed.study.versions.pairs import Fit, FittedCase, Pair
+from novags.testbed.study.versions.verdict import ComparisonVerdict
 
 NAMES = {"base": "naive", "changed": "mine"}
 
@@ -30,16 +30,16 @@ def fit(values: np.ndarray, cpu: float | None = 10.0, shown: str = "bits", lit: 
 def verdict(
     gain: float, sd: float = 0.01, scenes: int = 3, seeds: int = 2, views: int = 3, cpu: float | None = 12.0,
     shown: str = "other", lit: float = 0.0,
-) -> Verdict:  # fmt: skip
+) -> ComparisonVerdict:  # fmt: skip
     """Of runs whose scores scatter much from scene to scene and view to view, alike on both sides."""
     rng, pairs = np.random.default_rng(0), []
     for scene in range(scenes):
         for seed in range(seeds):
             alike = 20 + 5 * scene + rng.normal(0, 3, views)
-            case = Case(Path("capture"), f"scene {scene}", str(seed), seed)
+            case = FittedCase(Path("capture"), f"scene {scene}", str(seed), seed)
             changed = fit(alike + gain + rng.normal(0, sd, views), cpu, shown, lit)
             pairs.append(Pair(case, "naive", fit(alike), changed))
-    return Verdict(NAMES, pairs)
+    return ComparisonVerdict(NAMES, pairs)
 
 
 def test_a_gain_that_all_share_is_seen_through_the_scatter_of_scenes_and_views() -> None:
@@ -85,7 +85,7 @@ def test_equal_pictures_are_said_to_be_and_one_that_differs_is_enough() -> None:
     assert not found.below
     last = found.pairs[-1]
     other = Pair(last.case, last.method, last.base, fit(np.array([20.0]), shown="other"))
-    assert not Verdict(NAMES, [*found.pairs[:-1], other]).same
+    assert not ComparisonVerdict(NAMES, [*found.pairs[:-1], other]).same
 
 
 @pytest.mark.parametrize("cpu", [5.0, 10.0, 20.0])
