@@ -94,6 +94,24 @@ def test_a_ladder_is_made_once_and_changes_nothing_but_its_own_folder(
     )
 
 
+def test_one_ladder_of_several_seeds_pairs_each_run_with_its_own(
+    experiment: Path, tmp_path: Path, quiet: Console
+) -> None:
+    place = shutil.copytree(experiment, tmp_path / "place")
+    preset = adapted(EXPERIMENTS["demo"], methods=("naive",), iterations=20, points=200, device="cpu")
+    runs = []
+    for seed in (0, 1):
+        runs.append(place / f"seed{seed}")
+        stages.reconstruct(place / "capture", runs[-1], replace(preset.reconstruct("naive"), seed=seed), quiet)
+    alone = [explain(cases_of([run], quiet), ["noise"], quiet) for run in runs]
+    whole = explain(cases_of(runs, quiet), ["noise"], quiet)
+    assert whole.won["noise"].value == pytest.approx(np.mean([each.won["noise"].value for each in alone]))
+    assert whole.won["noise"].seeds == 2
+    assert [explained(run) for run in runs] == [each.record() for each in alone]
+    with pytest.raises(ValueError, match="must differ in their seeds"):
+        cases_of([runs[0], shutil.copytree(runs[0], tmp_path / "place" / "again")], quiet)
+
+
 BLUR = """
 import pathlib, sys
 import cv2

@@ -17,7 +17,7 @@ from novags.testbed.console.terminal import Console
 from novags.testbed.folders.run import EXPLAINED, METRICS, open_run
 from novags.testbed.ledger.contents import read_json, write_json
 from novags.testbed.ledger.dry import dry_run
-from novags.testbed.metrics.differences import Estimate, Values, estimate, paired
+from novags.testbed.metrics.differences import Estimate, Values, difference, estimate, paired
 from novags.testbed.metrics.truth import ERROR
 from novags.testbed.stages.command import run_command
 from novags.testbed.stages.configs.command import CommandConfig
@@ -45,6 +45,7 @@ class Ladder:
         value: Of the runs as they are, dB.
         won: By each truth, the most first.
         not_swapped: Why another one could not be tried.
+        level: Truths whose gain is not seen to be smaller than the most.
     """
 
     name: str
@@ -52,6 +53,7 @@ class Ladder:
     value: float
     won: dict[str, Estimate]
     not_swapped: dict[str, str] = field(default_factory=dict)
+    level: tuple[str, ...] = ()
 
     @property
     def first(self) -> str:
@@ -63,7 +65,8 @@ class Ladder:
             return f"No truth alone wins anything; the best is {said(gain)}, with {SWAPS[best].truth}."
         if gain.error is not None and not gain.seen:
             return f"Most may be lost to {best}, but {said(gain)}, with {SWAPS[best].truth}, is not seen to be a gain."
-        return f"Most is lost to {best}: with {SWAPS[best].truth} {self.name} has {said(gain)}."
+        others = f"; {' and '.join(self.level)} may be as much" if self.level else ""
+        return f"Most is lost to {best}: with {SWAPS[best].truth} {self.name} has {said(gain)}{others}."
 
     def lines(self) -> list[str]:
         """For a terminal."""
@@ -181,11 +184,15 @@ def _values(case: Case, name: str, change: Change, console: Console) -> Values:
 def _ladder(case: Case, own: Values, gains: Mapping[str, Values], why: dict[str, str]) -> Ladder:
     won = {name: found for name, values in gains.items() if (found := estimate(values)) is not None}
     won = dict(sorted(won.items(), key=lambda item: -item[1].value))
+    best = next(iter(won), None)
+    level = tuple(name for name in won if best is not None and name != best and won[name].value > 0
+                  and (gap := difference(gains[best], gains[name])) is not None
+                  and gap.error is not None and not gap.seen)  # fmt: skip
     kind, number = case.score
     whole = estimate(own)
     assert whole is not None
     named = metrics.METRICS[number].heading if number in metrics.METRICS else "PSNR"
-    return Ladder(case.run.name, f"{named} of held-out views against {kind}", whole.value, won, why)
+    return Ladder(case.run.name, f"{named} of held-out views against {kind}", whole.value, won, why, level)
 
 
 def explained(run: Path) -> dict[str, Any] | None:

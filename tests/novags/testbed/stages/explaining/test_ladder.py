@@ -10,7 +10,7 @@ from novags.cameras import parse_cameras
 from novags.methods.variant import Variant
 from novags.testbed.metrics.differences import Estimate
 from novags.testbed.stages.configs.reconstructing import ReconstructConfig
-from novags.testbed.stages.explaining.ladder import Ladder, changes_of
+from novags.testbed.stages.explaining.ladder import Ladder, _ladder, changes_of
 from novags.testbed.stages.explaining.swaps import SWAPS, Case, NotSwapped
 
 
@@ -28,6 +28,21 @@ def test_the_sentence_names_the_first_cause_and_claims_no_more_than_its_error_al
     assert ladder(noise=gain(-0.5, 0.1)).first.startswith("No truth alone wins anything")
     assert "no error is known" in ladder(views=gain(8.0, None)).first
     assert "could be replaced" in ladder().first
+
+
+def test_a_cause_that_is_not_seen_to_be_smaller_is_named_beside_the_first(tmp_path: Path) -> None:
+    """Gains by view: of noise and views they cross, cameras win less in each."""
+    gains = {
+        name: {("s", "0", str(view)): value for view, value in enumerate(values)}
+        for name, values in {"noise": (3.0, 2.0, 2.6), "views": (2.0, 3.0, 2.4), "cameras": (1.0, 0.3, 0.7),
+                             "points": (-1.0, 1.5, -2.0)}.items()
+    }  # fmt: skip
+    own = {key: 20.0 for key in gains["noise"]}
+    found = _ladder(case(tmp_path), own, gains, {})
+    assert found.level == ("views",)
+    assert found.first.endswith("; views may be as much.")
+    one = {name: dict(list(values.items())[:1]) for name, values in gains.items()}
+    assert _ladder(case(tmp_path), own, one, {}).level == ()  # of one view no error is known
 
 
 def test_what_was_not_replaced_is_printed_with_its_reason() -> None:
