@@ -23,7 +23,7 @@ ENVIRONMENT = {
 # Each iteration of a fit frees its arrays, and the next one asks for the same again. glibc returns them to the system
 # in between, which hands them out again page by page and filled with zeros: a third of the time of a fit whose loss is
 # torch's. Freed memory is kept instead, in blocks of up to the first of these sizes, up to the second in all.
-KEPT = (("MMAP", -3, 32 << 20), ("TRIM", -1, 1 << 30))  # numbers as in malloc.h
+KEPT = (("MMAP", -3, 64 << 20), ("TRIM", -1, 1 << 30))  # numbers as in malloc.h
 
 
 def settle() -> None:

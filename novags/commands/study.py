@@ -186,7 +186,7 @@ def compare(
     Args:
         base: A folder with a checkout of novags, a revision of this one (HEAD~1), or a method or variant.
         changed: Likewise.
-        methods: Of two checkouts: the methods to run; nova-fast if not given.
+        methods: Of two checkouts: the methods to run; the first of the preset if not given.
         variant: As of `novags run`: a method with settings changed, NAME=METHOD:SETTING=VALUE; or a TOML file of them.
         captures: Folders of captures, of runs or of experiments; if not given, small captures are made.
         scenes: Of these captures, one for each seed; tabletop:3, cornell, busts and bookshop if not.
@@ -226,7 +226,7 @@ def compare(
     small: dict[str, Any] = {} if captures else {"points": pairs.POINTS, "iterations": pairs.ITERATIONS}
     given = {"points": points, "iterations": iterations, "denoiser_steps": denoiser_steps}
     asked = small | {name: value for name, value in given.items() if value is not None}
-    named = dict.fromkeys([side.method for side in sides if side.method] or methods or ("nova-fast",))
+    named = dict.fromkeys([side.method for side in sides if side.method] or methods or EXPERIMENTS[preset].methods[:1])
     chosen = adapted(EXPERIMENTS[preset], methods=tuple(named), variants=own, **asked)
     shared = [word for name, value in asked.items() for word in (f"--{name.replace('_', '-')}", str(value))]
     shared += ["--preset", preset, "--device", device, *(["--overwrite"] if overwrite else [])]

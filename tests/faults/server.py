@@ -102,6 +102,7 @@ def limited(what: int, size: int) -> None:
 
 def memory_left(size: int) -> None:
     """Allow so many bytes of address space beyond what this process has."""
+    ctypes.CDLL(None).malloc_trim(0)  # freed memory would do for a small command, and how much there is is chance
     pages = int(Path("/proc/self/statm").read_text().split()[0])
     limited(resource.RLIMIT_AS, pages * resource.getpagesize() + size)
 
