@@ -21,5 +21,5 @@ from .sets.pictures.exr import write_exr as write_exr
 from .sets.writers.export import export_blender as export_blender
 from .sets.writers.export import export_llff as export_llff
 from .sets.writers.layouts import EXPORTS as EXPORTS
-from .transport import TransportPlan as TransportPlan
-from .transport import plan_transport as plan_transport
+from .transport.plan import TransportPlan as TransportPlan
+from .transport.planner import plan_transport as plan_transport

@@ -105,7 +105,7 @@ def plan_of(config: RenderConfig, tolerance: float = 0.02) -> Plan:
     Raises:
         ValueError: If no plan can be made for the scene.
     """
-    from simscenes.transport import plan_transport
+    from simscenes.transport.planner import plan_transport
 
     return plan_transport(
         config.source, tolerance, rig=rig_of(config), optics=config.optics, variant=config.variant,
