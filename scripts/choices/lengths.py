@@ -1,0 +1,196 @@
+"""Tables of a study whose fits are scored along their length: how far each method is from one of them, and after what.
+
+    novags study docs/studies/paper-length.toml --out out/paper-length
+    python scripts/choices/lengths.py out/paper-length --stops out/paper-length-stops --page docs/paper-length.md
+
+Differences are paired by scene, seed and view, and carry the standard error over scenes (`novags.testbed.metrics.
+differences`); a star marks those whose 95 % interval leaves 0 out. Runs that are not finished are counted and left out.
+`--stops` is the same study with `hold_out`: its fits say after which length a method would stop itself, and the score
+there is of the fit with all views. The page has the tables between <!-- table: NAME --> and <!-- /table -->, NAME being
+the folder's, and NAME-along, NAME-scenes, NAME-stops.
+"""
+
+import argparse
+import json
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import fmean
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).parent))  # so that it is found where this file is loaded by its path
+
+from settle import write_table
+
+from novags.testbed.metrics.differences import Estimate, Values, difference, estimate
+from novags.testbed.stages.scores.comparing import SHARES, enhancement_of, values_of
+from novags.testbed.study.results import read_scores
+
+HEADS = {"aligned_psnr": "aligned PSNR against the own noise-free reference, dB",
+         "tone_aligned_psnr": "tone-aligned PSNR against the well-lit render, dB"}  # fmt: skip
+MORE = (
+    ("enhanced", "aligned_ssim", "SSIM", 3),
+    ("enhanced", "st_lpips", "ST-LPIPS", 3),
+    ("enhanced", "flip", "FLIP", 3),
+)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A finished run of a study: its scores by length, and where it would stop itself if it held views out."""
+
+    method: str
+    scene: str
+    seed: str
+    enhancement: str  # what its noise-free reference is enhanced by
+    scores: Mapping[int | None, Mapping[str, Any]]  # by iterations; None: after all of them
+    stop: int | None
+
+    def values(self, kind: str, score: str, at: int | None) -> Values:
+        """A score at one length, by scene, seed and view; {} where it was not scored."""
+        return values_of(self.scores[at], kind, score, self.scene, self.seed) if at in self.scores else {}
+
+
+def fits_of(folder: Path) -> tuple[list[Fit], int]:
+    """The finished runs of a study, and how many it has in all."""
+    rows = json.loads((folder / "results.json").read_text(encoding="utf-8"))["rows"]
+    found = []
+    for row in rows:
+        if row["state"] == "done":
+            run = folder / row["folder"]
+            whole, record = read_scores(run), json.loads((run / "run.json").read_text(encoding="utf-8"))
+            scores = {None: whole} | {each["iterations"]: each for each in whole.get("along") or ()}
+            stop = (whole.get("held_out") or {}).get("stop")
+            place = (row["method"], str(row["scene"]), str(row["seed"]))
+            found.append(Fit(*place, enhancement_of(record), scores, stop))
+    return found, len(rows)
+
+
+def together(fits: list[Fit], method: str, kind: str, score: str, at: int | None = None, scene: str = "") -> Values:
+    """The values of a method at one length over its runs, of one scene alone if named."""
+    found: dict[tuple[str, str, str], float] = {}
+    for fit in fits:
+        if fit.method == method and scene in ("", fit.scene):
+            found |= fit.values(kind, score, at)
+    return found
+
+
+def apart(fits: list[Fit], one: str, other: str, kind: str, score: str, at: int | None = None, scene: str = "") -> str:
+    """A difference of two methods ± its error, starred if it is seen; of two enhancements there are two references."""
+    if kind == "enhanced" and len({fit.enhancement for fit in fits if fit.method in (one, other)}) > 1:
+        return "–"
+    found = difference(*(together(fits, name, kind, score, at, scene) for name in (one, other)))
+    return "–" if found is None else said(found)
+
+
+def said(apart: Estimate) -> str:
+    """A difference ± its error, starred if it is seen."""
+    error = "" if apart.error is None else f" ± {apart.error:.2f}"
+    return f"{apart.value:+.2f}{error}{'*' if apart.half is not None and apart.seen else ''}"
+
+
+def table(heads: list[str], rows: Mapping[str, list[str]]) -> str:
+    """Markdown; a row for each method."""
+    lines = ["| | " + " | ".join(heads) + " |", "|---" * (len(heads) + 1) + "|"]
+    return "\n".join([*lines, *(f"| `{name}` | " + " | ".join(cells) + " |" for name, cells in rows.items())])
+
+
+def mean(values: Values, digits: int = 2) -> str:
+    """The mean over scenes of a score."""
+    found = estimate(values)
+    return "–" if found is None else f"{found.value:.{digits}f}"
+
+
+def methods_of(fits: list[Fit]) -> list[str]:
+    """The methods with finished runs, in the order of the study."""
+    return list(dict.fromkeys(fit.method for fit in fits))
+
+
+def at_the_end(fits: list[Fit], than: str) -> str:
+    """Scores after all iterations, and differences."""
+    rows, heads = dict[str, list[str]](), list[str]()
+    for name in methods_of(fits):
+        cells, heads = [], ["runs"]
+        cells.append(str(sum(fit.method == name for fit in fits)))
+        for kind, score in SHARES.values():
+            heads += [HEADS[score], f"over `{than}`"]
+            cells += [
+                mean(together(fits, name, kind, score)),
+                "" if name == than else apart(fits, name, than, kind, score),
+            ]
+        for kind, score, head, digits in MORE:
+            heads.append(head)
+            cells.append(mean(together(fits, name, kind, score), digits))
+        rows[name] = cells
+    return table(heads, rows)
+
+
+def along(fits: list[Fit], than: str) -> str:
+    """Differences at the same length, by length; of the other method itself its score."""
+    lengths = [*sorted({at for fit in fits for at in fit.scores if at is not None}), None]
+    parts = []
+    for kind, score in SHARES.values():
+        rows = {}
+        for name in methods_of(fits):
+            rows[name] = [mean(together(fits, name, kind, score, at)) if name == than
+                          else apart(fits, name, than, kind, score, at) for at in lengths]  # fmt: skip
+        parts += [HEADS[score][0].upper() + HEADS[score][1:] + ":", table([str(at or "end") for at in lengths], rows)]
+    return "\n\n".join(parts)
+
+
+def by_scene(fits: list[Fit], than: str) -> str:
+    """Differences at the end in each scene by itself, whose error is over its seeds and views."""
+    scenes = list(dict.fromkeys(fit.scene for fit in fits))
+    rows, heads = dict[str, list[str]](), [f"{scene}, {score}" for score in ("aligned", "lit") for scene in scenes]
+    for name in methods_of(fits):
+        rows[name] = []
+        for kind, score in SHARES.values():
+            for scene in scenes:
+                own = mean(together(fits, name, kind, score, scene=scene)) if name == than else ""
+                rows[name].append(own or apart(fits, name, than, kind, score, scene=scene))
+    return table(heads, rows)
+
+
+def three_lengths(fits: list[Fit], holding: list[Fit]) -> str:
+    """Mean score at the end, at the own stop and at the best length of each fit, and the stops."""
+    stops = {(fit.method, fit.scene, fit.seed): fit.stop for fit in holding}
+    rows, heads = dict[str, list[str]](), list[str]()
+    for name in methods_of(fits):
+        places = [(fit, stops.get((name, fit.scene, fit.seed))) for fit in fits if fit.method == name]
+        places = [(fit, stop) for fit, stop in places if not stops or stop is not None]
+        cells, heads = [], []
+        for kind, score in SHARES.values():
+            curves = [{at: fmean(v.values()) for at in fit.scores if (v := fit.values(kind, score, at))}
+                      for fit, _ in places]  # fmt: skip
+            heads += [f"end, {score.removesuffix('_psnr')}", "own stop", "best"]
+            end, best = [curve[None] for curve in curves], [max(curve.values()) for curve in curves]
+            own = [curve.get(stop, curve[None]) for curve, (_, stop) in zip(curves, places, strict=True)]
+            cells += (
+                [f"{fmean(end):.2f}", f"{fmean(own):.2f}" if stops and own else "–", f"{fmean(best):.2f}"]
+                if curves
+                else ["–"] * 3
+            )
+        rows[name] = [*cells, ", ".join(str(stop) for _, stop in places if stop is not None) or "–"]
+    return table([*heads, "stops after"], rows)
+
+
+def main() -> None:
+    """Run it from the command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--stops", type=Path, help="the same study with hold_out")
+    parser.add_argument("--than", default="naive", help="the method that the others are compared with")
+    parser.add_argument("--page", type=Path, required=True)
+    options = parser.parse_args()
+    fits, runs = fits_of(options.folder)
+    holding = fits_of(options.stops)[0] if options.stops else []
+    name, than = options.folder.name, options.than
+    write_table(options.page, name, f"{len(fits)} of {runs} runs.\n\n" + at_the_end(fits, than))
+    write_table(options.page, f"{name}-along", along(fits, than))
+    write_table(options.page, f"{name}-scenes", by_scene(fits, than))
+    write_table(options.page, f"{name}-stops", three_lengths(fits, holding))
+
+
+if __name__ == "__main__":
+    main()
