@@ -4,7 +4,7 @@ capture.json          sensor, exposure, plan, seeds, the set it was made from; w
 raw/NNNN.dng          the sensor's digital numbers
 images16/NNNN.png     linear RGB, 16-bit            images/NNNN.png    sRGB, 8-bit
 truth/NNNN.exr        digital numbers: analytic mean and variance, noise-free (clean), saturation; behind a colour
-                      filter array also what three chips would give without noise (clean.R, clean.G, clean.B)
+                      filter array also what three chips would give without noise (clean_rgb.R, .G, .B)
 transforms.json ...   the cameras, as in a multiview set
 
 A capture that was imported (`folders.imported`) has only the files that its photographs provide.
@@ -80,7 +80,7 @@ def write_view(
         **_planes("mean", frame.mean_dn),
         **_planes("variance", frame.variance_dn),
         **_planes("clean", frame.clean_dn),
-        **({} if clean_rgb is None else _planes("clean", clean_rgb)),
+        **({} if clean_rgb is None else _planes("clean_rgb", clean_rgb)),
         **_planes("saturated", frame.saturated.astype(np.uint32)),
     }
     write_exr(folder / "truth" / f"{name}.exr", truth)
@@ -211,7 +211,8 @@ class Capture:
         if demosaiced:
             dn = self.truth(i, "clean")
             return develop_linear(dn, self.sensor, demosaic=self.record.demosaic, color_matrix=matrix)
-        dn = self._read(lambda path: _channels_of(path, "clean"), "truth", i, ".exr")
+        kind = "clean" if self.sensor.cfa is None else "clean_rgb"
+        dn = self._read(lambda path: _channels_of(path, kind), "truth", i, ".exr")
         return develop_linear(dn, replace(self.sensor, cfa=None), color_matrix=matrix)
 
     def truth(self, i: int, kind: str) -> np.ndarray:

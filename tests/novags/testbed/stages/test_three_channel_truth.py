@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import OpenEXR
 import pytest
 import torch
 
@@ -89,6 +90,18 @@ def test_it_is_what_three_chips_of_the_same_camera_would_have_given(mosaics: Pat
     assert {name for name in channels if name.startswith("clean")} == {"clean.R", "clean.G", "clean.B"}
 
 
+def test_the_exr_package_opens_the_truth_of_every_camera_as_it_opens_files_without_being_asked(mosaics: Path) -> None:
+    for camera, planes in (("bayer", {"mean", "variance", "clean", "saturated", "clean_rgb"}), ("chips", {"clean"})):
+        path = mosaics / camera / "truth" / "0005.exr"
+        with OpenEXR.File(str(path)) as file:
+            pixels = {name: np.array(channel.pixels) for name, channel in file.channels().items()}
+        channels, _ = read_exr(path)
+        assert planes <= pixels.keys()
+        for name, found in pixels.items():
+            named = [name] if found.ndim == 2 else [f"{name}.{colour}" for colour in "RGB"]
+            np.testing.assert_array_equal(np.atleast_3d(found), np.stack([channels[each] for each in named], -1))
+
+
 def test_the_interpolated_mosaic_has_a_name_of_its_own(mosaics: Path) -> None:
     capture = open_capture(mosaics / "bayer")
     sensor = read_sensor(mosaics / "bayer.toml")
@@ -104,11 +117,11 @@ def test_a_capture_of_an_earlier_version_says_to_capture_again_and_is_captured_a
     old = Path(shutil.copytree(mosaics / "bayer", tmp_path / "bayer"))
     for path in (old / "truth").glob("*.exr"):
         channels, header = read_exr(path)
-        write_exr(path, {name: values for name, values in channels.items() if not name.startswith("clean.")})
+        write_exr(path, {name: values for name, values in channels.items() if not name.startswith("clean_rgb.")})
     record = json.loads((old / "capture.json").read_text())
     del record["stage"]["files"]  # which that version wrote of its own files
     (old / "capture.json").write_text(json.dumps(record))
-    with pytest.raises(ValueError, match=r"truth/0000\.exr lacks the channels clean\.R, .*: capture again"):
+    with pytest.raises(ValueError, match=r"truth/0000\.exr lacks the channels clean_rgb\.R, .*: capture again"):
         open_capture(old).clean(0)
     record = json.loads((old / "capture.json").read_text())
     del record["stage"]["config"]["truth"]
