@@ -19,6 +19,7 @@ from novags.testbed.dataset.forecast import forecast
 from novags.testbed.dataset.shards import MEMBERS, remove_shards
 from novags.testbed.folders.capture import open_capture
 from novags.testbed.ledger.store import costs
+from novags.testbed.study.costs import Costs
 from novags.testbed.study.engines.choice import OneMachine
 from novags.testbed.study.plan import plan_of
 from novags.testbed.viewer.light import ViewerCamera
@@ -269,3 +270,35 @@ def test_made_again_without_shards_it_keeps_none_and_what_somebody_put_there_sta
     (shards / "mine.tar").unlink()
     remove_shards(place / "again")
     assert not shards.exists()
+
+
+PICTURES = """
+[dataset]
+name = "cornells"
+licence = "CC-BY-4.0"
+split = { train = 1 }
+[grid]
+scene = ["cornell"]
+sensor = ["a7s2-iso6400-3chip", "a7s2-iso6400"]
+[override]
+views = 8
+width = 64
+height = 64
+spp = 2
+"""
+
+
+def test_the_disk_of_sets_and_captures_is_forecast_within_a_fifth(tmp_path: Path) -> None:
+    (tmp_path / "data.toml").write_text(PICTURES)
+    study, _ = read_dataset(tmp_path / "data.toml")
+    said = Costs()  # of an empty store
+    expected = {task.kind + task.group: said.predicted(task).disk
+                for task in plan_of(study, tmp_path / "store", Console(quiet=True)).tasks.values()}  # fmt: skip
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("signal.signal", lambda *_: None)  # pytest keeps its own handlers
+        dataset(tmp_path / "data.toml", out=tmp_path / "data", workers=1)
+    found = {entry["kind"] + entry["group"]: entry["bytes"] for entry in costs(tmp_path / "store")}
+    assert len(found) == 3
+    assert {name: size / expected[name] for name, size in found.items()} == pytest.approx(
+        dict.fromkeys(found, 1.0), abs=0.2
+    )

@@ -28,7 +28,7 @@ SEAL = ".sealed.json"  # hidden, so that it is part of no digest
 SHAPE: Any = {
     "key": str, "content": str, "made_of": dict, "records": {"*": str},
     "cost": {"seconds": {"*": float}, "peak_bytes": int, "bytes": int, "work": float, "pixels": float, "memory?": float,
-             "group": str, "threads": int},
+             "disk?": float, "group": str, "threads": int},
 }  # fmt: skip
 RECORD = {"stage": {"files": {"*": str}}}  # the entries that a seal needs of the record of a stage
 

@@ -55,10 +55,10 @@ DEFAULTS: dict[str, tuple[LinearCost, LinearCost, LinearCost]] = {
 }
 
 
-def default(kind: str, work: float, pixels: float, peak: float = 0.0) -> Cost:
-    """The cost of a task as `DEFAULTS` has it; `peak`: `Task.memory`."""
+def default(kind: str, work: float, pixels: float, peak: float = 0.0, held: float = 0.0) -> Cost:
+    """The cost of a task as `DEFAULTS` has it; `peak`: `Task.memory`, `held`: `Task.disk`."""
     seconds, memory, disk = DEFAULTS[kind]
-    return Cost(seconds.at(work), peak or memory.at(pixels), disk.at(pixels))
+    return Cost(seconds.at(work), peak or memory.at(pixels), held or disk.at(pixels))
 
 
 @dataclass
@@ -79,7 +79,7 @@ class Costs:
 
     def add(self, kind: str, cost: Mapping[str, Any]) -> None:
         """Take a finished task into account; `cost` as in its seal."""
-        expected = default(kind, cost["work"], cost["pixels"], cost.get("memory", 0.0))
+        expected = default(kind, cost["work"], cost["pixels"], cost.get("memory", 0.0), cost.get("disk", 0.0))
         ratio = Cost(
             sum(cost["seconds"].values()) / expected.seconds, cost["peak_bytes"] / expected.memory,
             cost["bytes"] / expected.disk,
@@ -89,7 +89,7 @@ class Costs:
 
     def predicted(self, task: Task) -> Cost:
         """The predicted cost of a task."""
-        expected = default(task.kind, task.work, task.pixels, task.memory)
+        expected = default(task.kind, task.work, task.pixels, task.memory, task.disk)
         place = (task.kind, task.group, task.work)
         if place not in self._ratios:
             self._ratios[place] = self._ratio(*place)

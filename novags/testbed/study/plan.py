@@ -28,7 +28,7 @@ from novags.testbed.stages.posing import photographs_of
 from novags.testbed.stages.rendering import scene_digest
 from novags.testbed.study.cells.grid import Cell, Study
 from novags.testbed.study.cells.presets import Preset
-from novags.testbed.study.entry import Task
+from novags.testbed.study.entry import Task, disk_of
 from novags.testbed.study.knobs.measurement import Measurement
 from sensor_model.files.dng import SMALLEST
 from sensor_model.files.door import resolved
@@ -208,6 +208,7 @@ class Planner:
             kind="capture", key=key, name=named("-".join(parts), key), config=config, source=source,
             needs=() if source is not None else (made_of,), group=config.sensor_name,
             modules=(*modules, *config.modules), work=pixels, pixels=pixels, for_runs=for_runs,
+            disk=disk_of("capture", views, pixels, mosaic=config.camera.cfa is not None),
         ))  # fmt: skip
 
     def _imported(self, folder: Path, config: ImportConfig) -> str:
@@ -254,7 +255,7 @@ class Planner:
         self.contents[key] = config.n_views
         return self._task(Task(
             kind="set", key=key, name=named(name, key), config=config, group=config.source.name,
-            work=samples, pixels=pixels,
+            work=samples, pixels=pixels, disk=disk_of("set", config.n_views, pixels),
         ))  # fmt: skip
 
     def _posed(self, config: PosesConfig) -> str:

@@ -296,7 +296,7 @@ def test_every_finished_entry_counts_in_what_others_will_cost() -> None:
                 "seconds": {"fit": factor * guess.seconds / 2, "render": factor * guess.seconds / 2}}
                for factor in (1.0, 3.0, 3.0, 3.0, 3.0)]  # fmt: skip
     costs = Costs.of(entries, {"run": 1})
-    task: Any = SimpleNamespace(kind="run", group="naive", work=100.0, pixels=10.0, memory=0.0)
+    task: Any = SimpleNamespace(kind="run", group="naive", work=100.0, pixels=10.0, memory=0.0, disk=0.0)
     assert costs.predicted(task).seconds == pytest.approx(3 * guess.seconds)
     assert costs.known(task)
     assert not Costs.of([], {}).known(task)
