@@ -71,11 +71,17 @@ class Plan:
 
     def __str__(self) -> str:
         """A table."""
+        marks = dict[str, str]()
         rows = [("effect", "", "left out costs", "allowed", "unit", "reason")]
         for e in self.effects:
-            state = ("on" if e.on else "off") + ("*" if e.forced else "")
+            over = not e.on and e.contribution > e.bound
+            state = ("on" if e.on else "off") + "*" * e.forced + "!" * over
+            marks |= {"*": "forced by name"} if e.forced else {}
+            marks |= {"!": "left out above its allowance"} if over else {}
             rows.append((e.name, state, f"{e.contribution:.3g}", f"{e.bound:.3g}", e.unit, e.reason))
         widths = [max(len(row[i]) for row in rows) for i in range(5)]
         lines = ["  ".join([*(c.ljust(n) for c, n in zip(row, widths, strict=False)), row[5]]) for row in rows]
         total = [f"{self.bound:.3g} {self.unit}", *(f"{value:.3g} {unit}" for unit, value in self.biases.items())]
-        return "\n".join([*lines, f"all that is left out: at most {', '.join(total)}   (* forced by name)"])
+        legend = "; ".join(f"{mark} {meaning}" for mark, meaning in marks.items())
+        last = f"all that is left out: at most {', '.join(total)}"
+        return "\n".join([*lines, f"{last}   ({legend})" if legend else last])

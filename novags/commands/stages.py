@@ -42,7 +42,7 @@ def plan(
     console = shared.console()
     found = light_plan(views, light_tolerance, console)
     say(f"Light of {scene}: {'given by the folder' if found is None else ''}\n{found or ''}".rstrip())
-    noise, signal_e = sensor_plan(pilot, config, size.width * size.height, console)
+    noise, signal_e = sensor_plan(pilot, config, size.width * size.height, console, found)
     signal = ", ".join(f"{name} {value:.3g} e-" for name, value in signal_e.items())
     say(f"\nCamera {sensor}, mean green signal {electrons:g} e-; {signal}\n{noise}")
 

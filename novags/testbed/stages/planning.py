@@ -9,7 +9,7 @@ from novags.testbed.folders.set import Source, open_source
 from novags.testbed.stages.capturing import meter
 from novags.testbed.stages.configs.capturing import CaptureConfig
 from novags.testbed.stages.configs.rendering import RenderConfig
-from novags.testbed.stages.rendering import plan_of, prepare_render, render_views
+from novags.testbed.stages.rendering import plan_of, render_views, rig_of
 from sensor_model.files.scratch import scratch
 from sensor_model.plan import Plan
 
@@ -35,7 +35,7 @@ def light_plan(config: RenderConfig, tolerance: float, console: Console) -> Plan
 
 
 def sensor_plan(
-    pilot: RenderConfig, config: CaptureConfig, pixels: int, console: Console
+    pilot: RenderConfig, config: CaptureConfig, pixels: int, console: Console, light: Plan | None = None
 ) -> tuple[Plan | None, dict[str, float]]:
     """The sensor's plan for a scene, and the range of its mean signal in electrons.
 
@@ -45,6 +45,7 @@ def sensor_plan(
         pixels: Of an image of the capture, if the scene is not a folder: the more there are, the rarer the defects that
             have to be simulated.
         console: Where progress goes.
+        light: The plan of the light that the coarse render follows; None: it makes its own.
 
     Raises:
         ValueError: If there is no such scene, or it is black.
@@ -52,7 +53,7 @@ def sensor_plan(
     if os.path.isdir(pilot.scene):
         return _plan(open_source(Path(pilot.scene), console, config.max_size), config, None, console)
     with scratch("plan") as folder:
-        render_views(folder, pilot, *prepare_render(pilot, console), console)
+        render_views(folder, pilot, rig_of(pilot), light or "auto", console, sketch=True)
         rendered = replace(open_source(folder, console, config.max_size), called=f"the scene {pilot.scene}")
         return _plan(rendered, config, pixels, console)
 

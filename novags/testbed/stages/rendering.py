@@ -78,15 +78,18 @@ def prepare_render(config: RenderConfig, console: Console) -> tuple[Rig, Plan | 
         return rig, plan_of(config) if decided else "auto"
 
 
-def render_views(out: Path, config: RenderConfig, rig: Rig, plan: Plan | str, console: Console) -> dict[str, Any]:
-    """Render every view that is not there yet; returns the body of set.json.
+def render_views(
+    out: Path, config: RenderConfig, rig: Rig, plan: Plan | str, console: Console, *, sketch: bool = False
+) -> dict[str, Any]:
+    """Render every view that is not there yet; returns the body of set.json. A sketch says no errors.
 
     Raises:
         ValueError: If the scene cannot be rendered.
     """
     from simscenes.job.render_set import render_set
 
-    with console.progress("render") as progress, warnings_as_notes(console):
+    with console.progress("sketch" if sketch else "render") as shown, warnings_as_notes(console):
+        progress = (lambda done, of, text: shown(done, of, text if done < of else "")) if sketch else shown
         render_set(
             config.source, rig, out, spp=config.spp, target_error=config.target_error,
             truth_samples=config.truth_samples, denoise=config.denoise, plan=plan, optics=config.optics,

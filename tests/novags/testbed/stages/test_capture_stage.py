@@ -20,7 +20,8 @@ from novags.testbed.folders.set import Source
 from novags.testbed.stages import planning
 from novags.testbed.stages.capturing import expose_view
 from novags.testbed.stages.configs.capturing import CaptureConfig
-from novags.testbed.stages.planning import PILOT, sensor_plan
+from novags.testbed.stages.planning import PILOT, light_plan, sensor_plan
+from novags.testbed.stages.rendering import render_views
 from sensor_model import PRESETS, Exposure, read_sensor, srgb_to_linear, write_sensor
 from simscenes import SparsePoints, load_set, orbit_rig
 from simscenes.sets.multiview import write_cameras
@@ -74,6 +75,22 @@ def test_the_plan_is_made_for_the_camera_in_the_file(tmp_path: Path) -> None:
     plan, _ = sensor_plan(replace(PILOT, scene=str(photographs(tmp_path / "set"))), config, 1, QUIET)
     assert plan is not None
     assert plan.is_on("row_noise")
+
+
+def test_the_sketch_of_a_scene_follows_the_plan_that_is_shown_and_says_no_errors(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pilot = replace(PILOT, scene="cornell", n_views=3, spp=2)
+    shown = light_plan(pilot, 0.02, QUIET)
+    assert shown is not None
+    followed = list[object]()
+    monkeypatch.setattr(planning, "render_views", lambda out, config, rig, plan, *rest, **options: (
+        followed.append(plan), render_views(out, config, rig, plan, *rest, **options)))  # fmt: skip
+    sensor_plan(pilot, CaptureConfig(sensor="a7s2-iso6400", electrons=20.0), 48 * 48, Console(), shown)
+    assert followed == [shown]
+    said = capsys.readouterr().err
+    assert "sketch: 3/3" in said
+    assert "error" not in said
 
 
 def test_defects_are_planned_for_the_pixels_of_the_capture_not_of_the_pilot(tmp_path: Path) -> None:
