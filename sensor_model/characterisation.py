@@ -129,7 +129,7 @@ def characterise(dark: Sequence[Stack], flat: Sequence[Stack]) -> Characterisati
             f"at most {CROOKED}", round(error, 3), f"correct them{remedy}")  # fmt: skip
     straight, slope = _straightened(signal, bend)
     gain = _proportional(straight[used], (noise / slope**2)[used])
-    row, column, pixel = _noise_parts(dark, dark_noise[0])
+    row, column, pixel = noise_parts(dark, dark_noise[0])
     current = max(dark_line[1], COLD * excess)  # below 0, where there is next to none, by chance
     top = _straightened(np.array([max(_mean(s) for s in flat) - dark_line[0]]), bend)[0][0]
     return Characterisation(
@@ -246,7 +246,7 @@ def _linearity(light: Array, signal: Array, peak: float) -> tuple[float, float]:
     return float(bend / response**2), float(np.abs(y / straight - 1).max())
 
 
-def _noise_parts(stacks: Sequence[Stack], at_zero_time: float) -> tuple[float, float, float]:
+def noise_parts(stacks: Sequence[Stack], at_zero_time: float) -> tuple[float, float, float]:
     """Temporal variance of rows, of columns and of single pixels in the dark, DN**2.
 
     Row means vary by the row noise and by the pixel noise that remains after averaging; the difference of two frames is
