@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from sensor_model.params import Defects, Sensor, require
@@ -19,6 +20,7 @@ QUANTISATION = 1 / 12  # DN**2
 UNDERFLOW = 0.005  # of the dark pixels that may be 0: more, and clipping hides the camera's noise
 HOT = 6  # standard deviations (robust ones over all pixels, and of the pixel's own noise) beyond which a pixel is hot
 COLD = 1e-6  # least dark current of normal pixels, as a share of the hot ones', which is stated as a multiple of it
+STEP = 0.4  # relative error of the variance of read noise, from which one gain does not explain it at all ISOs
 CROOKED = 0.2  # linearity error beyond which the stated light must be wrong, and not the camera
 UNITS = {"gain": "DN/e-", "black_level": "DN", "dark_current": "e-/s"} | dict.fromkeys(
     ("sigma_d", "sigma_row", "sigma_column", "dsnu", "mu_e_sat"), "e-"
@@ -310,3 +312,59 @@ def _prnu(dark: Sequence[Stack], flat: Sequence[Stack], dark_line: tuple[float, 
 def _root(variance: float) -> float:
     """Square root of an estimated variance, which noise can make negative where the true one is 0."""
     return float(np.sqrt(max(variance, 0.0)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class GainFit:
+    """gain = slope ISO + start, DN/e-, over the ISOs that a camera reads with one gain of its pixels."""
+
+    isos: tuple[float, float]  # the first and the last that were measured
+    slope: float  # DN/e- per ISO
+    start: float  # DN/e-
+    residual: float  # largest relative deviation of a measured gain; 0 of one or two, which no line can miss
+
+    def gain(self, iso: float) -> float:
+        """At any ISO between them, DN/e-."""
+        return self.slope * iso + self.start
+
+
+def gain_fits(isos: Sequence[float], gains: Sequence[float], sigmas: Sequence[float]) -> list[GainFit]:
+    """Gain as a function of ISO: one line, or two where the camera switches the gain of its pixels in between.
+
+    Args:
+        isos: Rising.
+        gains: Measured at each, DN/e-.
+        sigmas: Read noise at each, e-.
+    """
+    iso, gain = np.array(isos, np.float64), np.array(gains, np.float64)
+    step = _dual_gain_step(gain, np.array(sigmas, np.float64))
+    fits = []
+    for side in (slice(0, step), slice(step, None)) if step else (slice(None),):
+        x, y = iso[side], gain[side]
+        slope, start = np.polyfit(x, y, 1, w=1 / y) if len(x) > 1 else (y[0] / x[0], 0.0)
+        miss = float(np.abs((slope * x + start) / y - 1).max()) if len(x) > 2 else 0.0
+        fits.append(GainFit(isos=(x[0].item(), x[-1].item()), slope=float(slope), start=float(start), residual=miss))
+    return fits
+
+
+def _dual_gain_step(gain: Array, sigma: Array) -> int | None:
+    """Index of the first ISO at the high gain of the pixels; None if one gain explains the read noise of all.
+
+    Noise before the amplifier is constant in electrons and noise behind it in DN: with one gain of the pixels the
+    variance is a + b / gain**2, e-**2, both >= 0, and the read noise in DN never falls with the ISO.
+    """
+
+    def misses(part: slice) -> Array:
+        basis = np.stack([np.ones_like(gain[part]), gain[part] ** -2], 1) / np.maximum(sigma[part, None], 1e-9) ** 2
+        return np.asarray(basis @ scipy.optimize.nnls(basis, np.ones(len(basis)))[0] - 1)
+
+    whole = misses(slice(None))
+    if len(gain) < 2 or np.abs(whole).max() <= STEP:
+        return None
+    totals = [
+        float(np.square(np.append(misses(slice(0, k)), misses(slice(k, None)))).sum()) for k in range(1, len(gain))
+    ]
+    # Of few ISOs several splits fit: then where the noise falls most
+    best = 1 + min(range(len(totals)), key=lambda k: (round(totals[k], 2), sigma[k + 1] / sigma[k]))
+    better = totals[best - 1] < float(np.square(whole).sum()) / 4
+    return best if better and sigma[best] < sigma[best - 1] else None
