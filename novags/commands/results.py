@@ -239,7 +239,7 @@ def characterise(
     """
     from novags.numbers import SIDE, check_range
     from novags.testbed.console.terminal import warnings_as_notes
-    from novags.testbed.importing.calibration_frames import characterise_folder
+    from novags.testbed.importing.calibration.frames import characterise_folder
     from novags.testbed.ledger.dry import planned
     from sensor_model.files.camera_file import write_sensor
 

@@ -19,12 +19,13 @@ import numpy as np
 
 from sensor_model.characterisation import GainFit
 from sensor_model.files.atomic import atomic
-from sensor_model.files.door import read_bytes
+from sensor_model.files.door import opened, read_bytes
 from sensor_model.files.lock import dry
 from sensor_model.files.reading import reading
 from sensor_model.files.records import Numbers, check_shape
 from sensor_model.files.toml_file import read_toml
 from sensor_model.frame import own
+from sensor_model.frame.measured import Measured, middle
 from sensor_model.params import CFAS, Banding, Defects, DualGain, Sensor, SensorOptics, require
 
 PARTS: dict[str, type] = {"banding": Banding, "defects": Defects, "optics": SensorOptics, "dual_gain": DualGain}
@@ -193,6 +194,33 @@ def write_sensor(
     if not dry.get():
         with atomic(path) as temporary:
             temporary.write_bytes(content)
+
+
+def read_maps(path: Path, size: tuple[int, int]) -> Measured:
+    """The middle of the maps of a camera, for frames of this size.
+
+    Raises:
+        ValueError: If they are not whole, or smaller than that.
+    """
+    with reading(path, "measure the camera again"), opened(path) as file:
+        with np.load(file, allow_pickle=False) as found:
+            maps = [np.asarray(found[name], np.float32) for name in ("offset", "response")]
+        for array in maps:
+            fits = array.ndim == 2 and array.shape == maps[0].shape and bool(np.isfinite(array).all())
+            require(fits, "maps", "finite and [h, w], both alike", array.shape)
+            reaches = array.shape[0] >= size[0] and array.shape[1] >= size[1]
+            require(reaches, "maps", f"of {size[0]} rows and {size[1]} columns or more", array.shape,
+                    "measure the camera with a larger --window, or take smaller pictures")  # fmt: skip
+        offset, response = (middle(array, size) for array in maps)
+        return Measured(offset=offset, response=response)
+
+
+def write_maps(path: Path, maps: Measured) -> None:
+    """Write what `read_maps` reads."""
+    assert maps.offset is not None
+    assert maps.response is not None
+    with atomic(path) as temporary, temporary.open("wb") as file:
+        np.savez_compressed(file, offset=maps.offset, response=maps.response)
 
 
 def _parts(sensor: Sensor, prefix: str) -> list[str]:

@@ -126,7 +126,7 @@ class DarkFrames:
 
     @cached_property
     def described(self) -> Sensor:
-        """The camera in numbers, with those of the frames: what plans and methods know of them.
+        """The camera with the noise of the frames as numbers, which plans and methods go by.
 
         Hot pixels are left out of the fixed pattern's number, as in `noise`.
         """
@@ -165,6 +165,12 @@ class Measured:
             for e in plan.effects
         ]  # fmt: skip
         return replace(plan, effects=tuple(told))
+
+
+def middle(array: NDArray[Any], size: tuple[int, int]) -> NDArray[Any]:
+    """The part [..., h, w] in the middle of an array, from an even row and column on, as colour filters begin."""
+    y, x = (max(0, (side - of) // 2) // 2 * 2 for side, of in zip(array.shape[-2:], size, strict=True))
+    return array[..., y : y + size[0], x : x + size[1]]
 
 
 def cut(array: NDArray[Any], shape: tuple[int, ...], origin: tuple[int, int]) -> NDArray[Any]:

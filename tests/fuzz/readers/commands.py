@@ -97,7 +97,7 @@ def _imports() -> None:
 def _leave_out_the_work() -> None:
     """In the child, since other readers need the stages."""
     import novags.commands.answers.doctor as doctor
-    import novags.testbed.importing.calibration_frames as frames
+    import novags.testbed.importing.calibration.frames as frames
     import novags.testbed.report.page as page
     import novags.testbed.report.place as place
     import novags.testbed.stages.planning as forecast

@@ -91,7 +91,7 @@ def make_jpeg(folder: Path) -> None:
 
 def read_picture(folder: Path, file: Path) -> object:
     """By every way in which a picture is read: as codes, as a photograph, and its size alone."""
-    from novags.testbed.importing.calibration_frames import _read
+    from novags.testbed.importing.calibration.frames import _read
     from simscenes.rigs import Rig, intrinsics
     from simscenes.sets.multiview import MultiviewSet
     from simscenes.sets.pictures.png import read_codes

@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 import pytest
 
-from novags.testbed.importing import calibration_frames as calibration
-from novags.testbed.importing.calibration_frames import characterise_folder, read_frames
+from novags.testbed.importing.calibration import frames as calibration
+from novags.testbed.importing.calibration.frames import characterise_folder, read_frames
 from sensor_model import PRESETS, Exposure, Sensor, expose, mosaic, read_sensor, write_dng
 
 MONO = Sensor(
@@ -295,7 +295,7 @@ def test_files_that_hold_no_frames_are_named(save, message: str, tmp_path: Path)
 
 @pytest.mark.parametrize("odd", range(3))
 def test_every_frame_of_a_stack_counts_in_its_size_and_its_time(odd: int) -> None:
-    files = [calibration._CalibrationFrame(np.full((2, 10, 12), k, np.uint16), 0.5) for k in range(3)]
+    files = [calibration.CalibrationFrame(np.full((2, 10, 12), k, np.uint16), 0.5) for k in range(3)]
     found = calibration._stack(Path("dark/a"), files, {"photons": 3.0})
     assert found.frames.shape == (6, 10, 12)
     assert [found.frames[2 * k].max() for k in range(3)] == [0, 1, 2]

@@ -19,6 +19,7 @@ photons = 812.0              # mean number per pixel, if it was measured: gives 
 sensor_model sees the frames only as arrays; only this module knows the layout of the folder.
 """
 
+import re
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -26,8 +27,8 @@ from typing import Any
 import numpy as np
 
 from novags.testbed.folders.photographs.raw_files import is_raw, read_mosaic
+from novags.testbed.importing.calibration.codes import check_codes
 from novags.testbed.importing.exposures import stated_of
-from novags.testbed.importing.frame_codes import check_codes
 from novags.testbed.importing.stored import is_lossy
 from sensor_model.characterisation import Characterisation, Stack, characterise
 from sensor_model.files.camera_file import sensor_from_dict
@@ -35,6 +36,7 @@ from sensor_model.files.door import opened
 from sensor_model.files.reading import reading, some
 from sensor_model.files.records import check_shape
 from sensor_model.files.toml_file import read_toml
+from sensor_model.frame.measured import middle
 from sensor_model.mosaicking import channel_index
 from sensor_model.params import Sensor
 from simscenes.sets.pictures.image_file import read_frames as read_frames_of
@@ -43,6 +45,7 @@ IMAGES = (".png", ".tif", ".tiff")
 # Notes and previews beside frames; files of other kinds may be frames.
 BESIDE = ("", ".txt", ".md", ".csv", ".json", ".toml", ".xml", ".yaml", ".yml", ".ini", ".log", ".xmp", ".pp3", ".jpg",
           ".jpeg", ".db", ".pdf", ".html")  # fmt: skip
+ISO_NAME = re.compile(r"iso[ _-]?([1-9]\d{0,8})", re.IGNORECASE)
 CHANNELS = 4  # most samples of a pixel
 NOTES = {"bits?": int, "cfa?": str, "camera?": dict, "stacks?": {"*": {"time?": float, "photons?": float}}}
 
@@ -59,7 +62,9 @@ class Frames:
 
 
 @dataclass(frozen=True)
-class _CalibrationFrame:
+class CalibrationFrame:
+    """The codes of one file, and what it states of them."""
+
     dn: np.ndarray  # [n,h,w]
     time: float | None = None
     cfa: str | None = None
@@ -100,13 +105,13 @@ def read_frames(folder: Path, window: int = 1024) -> Frames:
         ValueError: If it is not laid out as above, or a file cannot be read.
     """
     notes = _notes(folder)
-    files: dict[str, list[_CalibrationFrame]] = {}
+    files: dict[str, list[CalibrationFrame]] = {}
     for kind in ("dark", "flat"):
         folders = sorted(p for p in (folder / kind).iterdir() if p.is_dir()) if (folder / kind).is_dir() else []
         if not folders:
             raise ValueError(f"{folder} needs a folder {kind}/ with a folder for each stack of frames in it")
         for place in folders:
-            files[f"{kind}/{place.name}"] = [_cut(_read(p), window) for p in _listed(place)]
+            files[f"{kind}/{place.name}"] = [cut(read_frame(p), (window, window)) for p in listed(place)]
     if unknown := sorted(set(notes["stacks"]) - set(files)):
         raise ValueError(f"{folder / 'frames.toml'} names stacks that are not there: {', '.join(unknown)}")
     everything = [file for stack in files.values() for file in stack]
@@ -114,15 +119,21 @@ def read_frames(folder: Path, window: int = 1024) -> Frames:
     frames = Frames(
         dark=[stack for name, stack in stacks.items() if name.startswith("dark/")],
         flat=[stack for name, stack in stacks.items() if name.startswith("flat/")],
-        cfa=_agreed("cfa", notes["cfa"], [f.cfa for f in everything], folder, "none"),
-        bits=_agreed("bits", notes["bits"], [f.bits for f in everything], folder, None),
+        cfa=agreed("cfa", notes["cfa"], [f.cfa for f in everything], folder, "none"),
+        bits=agreed("bits", notes["bits"], [f.bits for f in everything], folder, None),
         camera=notes["camera"],
     )
     check_codes(stacks, frames.cfa, frames.bits, folder)
     return frames
 
 
-def _listed(place: Path) -> list[Path]:
+def iso_folders(folder: Path) -> dict[float, Path]:
+    """The folders of single ISOs in a folder, by rising ISO: iso800, ISO_1600."""
+    found = [(match, path) for path in folder.iterdir() if path.is_dir() and (match := ISO_NAME.fullmatch(path.name))]
+    return dict(sorted((float(match[1]), path) for match, path in found))
+
+
+def listed(place: Path) -> list[Path]:
     """The frames of a folder, without hidden files, which archives made on a Mac have.
 
     Raises:
@@ -148,10 +159,15 @@ def _notes(folder: Path) -> dict[str, Any]:
     return notes | given
 
 
-def _read(path: Path) -> _CalibrationFrame:
+def read_frame(path: Path) -> CalibrationFrame:
+    """The codes of a file, and what it states of them.
+
+    Raises:
+        ValueError: If it cannot be read, or does not hold the codes of one channel.
+    """
     if is_raw(path):
         raw = read_mosaic(path)
-        return _CalibrationFrame(raw.dn[None], raw.time, raw.cfa or "none", raw.bits)
+        return CalibrationFrame(raw.dn[None], raw.time, raw.cfa or "none", raw.bits)
     time = None
     if path.suffix.lower() == ".npy":
         with reading(path, "replace or remove it"):
@@ -172,26 +188,25 @@ def _read(path: Path) -> _CalibrationFrame:
     if dn.shape[2] <= CHANNELS < dn.shape[1]:
         raise ValueError(f"{path} must hold frames as [n,h,w], got the shape {dn.shape}, whose last side may be "
                          "channels: save one channel, with frames first")  # fmt: skip
-    return _CalibrationFrame(dn, time)
+    return CalibrationFrame(dn, time)
 
 
-def _cut(file: _CalibrationFrame, window: int) -> _CalibrationFrame:
+def cut(file: CalibrationFrame, size: tuple[int, int]) -> CalibrationFrame:
     """The central part, from an even row and column on, so that the colour filter array keeps its phase."""
-    y, x = (max(0, (side - window) // 2) // 2 * 2 for side in file.dn.shape[1:])
-    return replace(file, dn=np.ascontiguousarray(file.dn[:, y : y + window, x : x + window]))
+    return replace(file, dn=np.ascontiguousarray(middle(file.dn, size)))
 
 
-def _stack(path: Path, files: list[_CalibrationFrame], note: dict[str, float]) -> Stack:
+def _stack(path: Path, files: list[CalibrationFrame], note: dict[str, float]) -> Stack:
     sizes = {file.dn.shape[1:] for file in files}
     if len(sizes) != 1:
         raise ValueError(f"{path} must hold frames of one size, got {sorted(sizes) or 'no frames'}")
     if unknown := sorted(set(note) - {"time", "photons"}):
         raise ValueError(f"frames.toml: stack {path.name} has unknown {', '.join(unknown)}; available: time, photons")
-    time = _agreed("exposure time", note.get("time"), [f.time for f in files], path, None)
+    time = agreed("exposure time", note.get("time"), [f.time for f in files], path, None)
     return Stack(np.concatenate([f.dn for f in files]), float(time), note.get("photons"))
 
 
-def _agreed(what: str, given: Any, found: list[Any], where: Path, default: Any) -> Any:
+def agreed(what: str, given: Any, found: list[Any], where: Path, default: Any) -> Any:
     """The value in frames.toml, else the value that all files state, else the default."""
     told = {value for value in found if value is not None}
     if given is None and len(told) > 1:
