@@ -112,10 +112,10 @@ def characterise(dark: Sequence[Stack], flat: Sequence[Stack]) -> Characterisati
     _check(dark, flat)
     hot, excess = _hot_pixels(dark)
     dark, flat = [_without(s, hot) for s in dark], [_without(s, hot) for s in flat]
-    dark_line, dark_noise = _line(dark, _mean), _line(dark, _temporal_variance)
+    dark_line, dark_noise = _line(dark, _mean), _line(dark, temporal_variance)
     time = np.array([s.time for s in flat])
     signal = np.array([_mean(s) for s in flat]) - (dark_line[0] + dark_line[1] * time)
-    noise = np.array([_temporal_variance(s) for s in flat]) - (dark_noise[0] + dark_noise[1] * time)
+    noise = np.array([temporal_variance(s) for s in flat]) - (dark_noise[0] + dark_noise[1] * time)
 
     peak = float(signal[np.argmax(noise)])  # variance collapses where pixels saturate
     saturated = (signal >= peak) & (noise < 0.5 * noise.max())
@@ -182,7 +182,8 @@ def _mean(stack: Stack) -> float:
     return float(np.mean(stack.frames, dtype=np.float64))
 
 
-def _average(stack: Stack) -> Array:
+def average(stack: Stack) -> Array:
+    """Of each pixel over the frames, [h, w]."""
     return np.asarray(np.mean(stack.frames, axis=0, dtype=np.float64))
 
 
@@ -190,13 +191,13 @@ def _squares(stack: Stack) -> Iterator[Array]:
     """Of each frame the squared temporal deviation of every pixel, [h, w], without the changes that all pixels of a
     frame share, such as the flicker of a lamp (EMVA 1288, section 6).
     """
-    average = _average(stack)
-    pattern = average - average.mean()
+    mean = average(stack)
+    pattern = mean - mean.mean()
     for frame in stack.frames:
         yield np.square(frame - frame.mean(dtype=np.float64) - pattern)
 
 
-def _temporal_variance(stack: Stack) -> float:
+def temporal_variance(stack: Stack) -> float:
     """Mean over the pixels of their temporal variance."""
     n, h, w = np.shape(stack.frames)
     return float(np.sum([square.sum() for square in _squares(stack)])) / ((n - 1) * (h * w - 1))
@@ -215,13 +216,13 @@ def _spatial_variance(stack: Stack, shading: bool = False) -> float:
         stack: The frames.
         shading: Take out a parabola over rows and columns first: how a lens or a lamp fades towards the corners.
     """
-    average = _average(stack)
-    smooth = _parabola(average.shape) if shading else np.ones((average.size, 1))
-    rest = average.ravel() - smooth @ np.linalg.lstsq(smooth, average.ravel(), rcond=None)[0]
-    return float(rest @ rest) / (rest.size - smooth.shape[1]) - _temporal_variance(stack) / len(stack.frames)
+    mean = average(stack)
+    smooth = parabola(mean.shape) if shading else np.ones((mean.size, 1))
+    rest = mean.ravel() - smooth @ np.linalg.lstsq(smooth, mean.ravel(), rcond=None)[0]
+    return float(rest @ rest) / (rest.size - smooth.shape[1]) - temporal_variance(stack) / len(stack.frames)
 
 
-def _parabola(shape: tuple[int, ...]) -> Array:
+def parabola(shape: tuple[int, ...]) -> Array:
     """The six surfaces 1, x, y, x**2, xy, y**2 over a frame, [pixels, 6]."""
     y, x = (axis.ravel() for axis in np.meshgrid(*(np.linspace(-1, 1, n) for n in shape), indexing="ij"))
     return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], 1)
@@ -276,7 +277,7 @@ def _hot_pixels(dark: Sequence[Stack]) -> tuple[NDArray[np.bool_], float]:
     # Shortest and longest time; of several stacks of one time, the stack of most frames.
     first = min(dark, key=lambda s: (s.time, -len(s.frames)))
     last = max(dark, key=lambda s: (s.time, len(s.frames)))
-    grown = _average(last) - _average(first)
+    grown = average(last) - average(first)
     grown -= np.median(grown)
     # Where noise is below a DN, most pixels have grown by exactly as much, and any other would be hot
     spread = max(1.4826 * float(np.median(np.abs(grown))), QUANTISATION**0.5)

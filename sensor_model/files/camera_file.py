@@ -5,6 +5,7 @@ A file of several ISOs has a table [iso.N] of the fields that differ at each, an
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import re
@@ -186,8 +187,11 @@ def write_sensor(
         lines += ["", f"[iso.{iso}]", *(line for line in _assignments(one) if line not in shared)]
         lines += [f"maps = {_literal(maps[iso])}"] if isinstance(maps, Mapping) and iso in maps else []
         lines += _parts(one, f"iso.{iso}.")
-    content = "\n".join([*lines, ""]).encode()
-    if not overwrite and Path(path).exists() and read_bytes(path) != content:
+    _write(Path(path), "\n".join([*lines, ""]).encode(), overwrite)
+
+
+def _write(path: Path, content: bytes, overwrite: bool) -> None:
+    if not overwrite and path.exists() and read_bytes(path) != content:
         raise ValueError(
             f"{path} is there with another content: choose another --out, or add --overwrite to replace it"
         )
@@ -215,12 +219,13 @@ def read_maps(path: Path, size: tuple[int, int]) -> Measured:
         return Measured(offset=offset, response=response)
 
 
-def write_maps(path: Path, maps: Measured) -> None:
-    """Write what `read_maps` reads."""
+def write_maps(path: Path, maps: Measured, *, overwrite: bool = True) -> None:
+    """Write what `read_maps` reads, as `write_sensor` does."""
     assert maps.offset is not None
     assert maps.response is not None
-    with atomic(path) as temporary, temporary.open("wb") as file:
-        np.savez_compressed(file, offset=maps.offset, response=maps.response)
+    content = io.BytesIO()
+    np.savez_compressed(content, offset=maps.offset, response=maps.response)
+    _write(path, content.getvalue(), overwrite)
 
 
 def _parts(sensor: Sensor, prefix: str) -> list[str]:

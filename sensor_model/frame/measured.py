@@ -148,22 +148,19 @@ class DarkFrames:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Measured:
-    """Arrays that take the place of drawn numbers, where the camera has the effect at all; None: those are drawn."""
+    """Arrays that take the place of drawn numbers; None: those are drawn."""
 
     offset: NDArray[np.float32] | None = None  # of each pixel in the dark [h, w], e-: in place of `Sensor.dsnu`
     response: NDArray[np.float32] | None = None  # of each pixel, 1 on average [h, w]: in place of `Sensor.prnu`
     dark: DarkFrames | None = None
 
     def said(self, plan: Plan) -> Plan:
-        """The plan, with what these take the place of: effects in dark frames are never left out."""
-        reasons = {"dsnu": self.offset is not None, "prnu": self.response is not None}
-        by = {name: "by the map of this copy of the camera" for name, given in reasons.items() if given}
-        frames = {} if self.dark is None else dict.fromkeys(IN_FRAMES, f"in {len(self.dark.codes)} dark frames")
-        told = [
-            replace(e, on=True, reason=f"{frames[e.name]}, which take its place") if e.name in frames
-            else replace(e, reason=f"{e.reason}; {by[e.name]}") if e.on and e.name in by else e
-            for e in plan.effects
-        ]  # fmt: skip
+        """The plan, with what these take the place of: it is never left out."""
+        by = {"dsnu": self.offset, "prnu": self.response}
+        reasons = {name: "by the map of this copy of the camera" for name, given in by.items() if given is not None}
+        if self.dark is not None:
+            reasons |= dict.fromkeys(IN_FRAMES, f"in {len(self.dark.codes)} dark frames, which take its place")
+        told = [replace(e, on=True, reason=reasons[e.name]) if e.name in reasons else e for e in plan.effects]
         return replace(plan, effects=tuple(told))
 
 

@@ -73,7 +73,7 @@ def prepare(
     dark_e, where = s.dark_e(exposure), (light.shape, exposure.origin)
     h, w, channels = light.shape
     offset, response = (
-        None if not amount else drawn(s.serial, amount, *where) if given is None else _frozen(cut(given, *where))
+        _frozen(cut(given, *where)) if given is not None else drawn(s.serial, amount, *where) if amount else None
         for amount, given, drawn in (
             (s.dsnu, measured.offset, pattern.offset_map), (s.prnu, measured.response, pattern.response_map),
         )

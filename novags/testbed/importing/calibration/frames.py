@@ -1,8 +1,9 @@
-"""A camera from a folder of its dark and flat frames.
+"""The dark and flat frames of a camera, from a folder.
 
 FOLDER/dark/NAME/*   each NAME is one stack: two or more dark frames, all of one exposure time
 FOLDER/flat/NAME/*   the same in front of a uniform light
 FOLDER/frames.toml   optional: values that the files themselves do not state
+FOLDER/isoN/         or such folders at several ISOs, which may share FOLDER/frames.toml
 
 Frames are camera raw files, 16-bit PNG or TIFF of one channel (of any number of pages), or .npy of [h,w] or [n,h,w].
 Exposure times come from
@@ -20,7 +21,7 @@ sensor_model sees the frames only as arrays; only this module knows the layout o
 """
 
 import re
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -30,15 +31,13 @@ from novags.testbed.folders.photographs.raw_files import is_raw, read_mosaic
 from novags.testbed.importing.calibration.codes import check_codes
 from novags.testbed.importing.exposures import stated_of
 from novags.testbed.importing.stored import is_lossy
-from sensor_model.characterisation import Characterisation, Stack, characterise
-from sensor_model.files.camera_file import sensor_from_dict
+from sensor_model.characterisation import Stack
 from sensor_model.files.door import opened
 from sensor_model.files.reading import reading, some
 from sensor_model.files.records import check_shape
 from sensor_model.files.toml_file import read_toml
 from sensor_model.frame.measured import middle
 from sensor_model.mosaicking import channel_index
-from sensor_model.params import Sensor
 from simscenes.sets.pictures.image_file import read_frames as read_frames_of
 
 IMAGES = (".png", ".tif", ".tiff")
@@ -55,7 +54,8 @@ class Frames:
     """Everything a folder holds."""
 
     dark: list[Stack]
-    flat: list[Stack]
+    flat: list[Stack]  # may be empty
+    iso: float | None  # by the folder's name, else by a file
     cfa: str  # "none": monochrome
     bits: int
     camera: dict[str, Any]  # fields that override measured ones
@@ -71,60 +71,52 @@ class CalibrationFrame:
     bits: int | None = None
 
 
-def characterise_folder(folder: Path, *, window: int = 1024) -> tuple[Sensor, Characterisation]:
-    """Estimate a camera from its frames; for a mosaic, the green pixels give everything except the colours.
+def read_frames(folder: Path, window: int = 1024, notes_of: Path | None = None) -> Frames:
+    """Read the folder; every frame is cropped to the central `window` x `window` pixels.
 
     Args:
-        folder: As above.
-        window: Side of the central square of the sensor that is used, in pixels: bounds memory.
-
-    Raises:
-        ValueError: If the folder is not laid out as above, or does not hold enough.
-    """
-    frames = read_frames(folder, window)
-    if frames.cfa == "none":
-        found, colours = characterise(frames.dark, frames.flat), {}
-    else:
-        place = frames.cfa.index("G")
-        found = characterise(_plane(frames.dark, place), _plane(frames.flat, place))
-        colours = _colours(frames)
-    for name in ("eta", "mu_e_sat"):
-        if getattr(found, name) is None and name not in frames.camera:
-            why = "give the photons of every flat stack" if name == "eta" else "add a flat stack beyond saturation"
-            raise ValueError(f"{folder} does not determine {name}: {why}, or {name} under [camera] in frames.toml")
-    known = {name: frames.camera.get(name, getattr(found, name)) for name in ("eta", "mu_e_sat")}
-    with reading(folder / "frames.toml", "correct it"):
-        measured = asdict(found.sensor(bits=frames.bits, **known))
-        return sensor_from_dict(measured | {"cfa": frames.cfa} | colours | frames.camera), found
-
-
-def read_frames(folder: Path, window: int = 1024) -> Frames:
-    """Read the folder; every frame is cropped to the central `window` x `window` pixels.
+        folder: With dark/ and flat/.
+        window: In pixels.
+        notes_of: The folder of frames.toml; None: the same.
 
     Raises:
         ValueError: If it is not laid out as above, or a file cannot be read.
     """
-    notes = _notes(folder)
+    notes = _notes(notes_of or folder)
     files: dict[str, list[CalibrationFrame]] = {}
     for kind in ("dark", "flat"):
-        folders = sorted(p for p in (folder / kind).iterdir() if p.is_dir()) if (folder / kind).is_dir() else []
-        if not folders:
-            raise ValueError(f"{folder} needs a folder {kind}/ with a folder for each stack of frames in it")
-        for place in folders:
+        for place in stacks_in(folder, kind):
             files[f"{kind}/{place.name}"] = [cut(read_frame(p), (window, window)) for p in listed(place)]
     if unknown := sorted(set(notes["stacks"]) - set(files)):
-        raise ValueError(f"{folder / 'frames.toml'} names stacks that are not there: {', '.join(unknown)}")
+        raise ValueError(
+            f"{(notes_of or folder) / 'frames.toml'} names stacks that are not there: {', '.join(unknown)}"
+        )
     everything = [file for stack in files.values() for file in stack]
     stacks = {name: _stack(folder / name, stack, notes["stacks"].get(name, {})) for name, stack in files.items()}
+    named = ISO_NAME.fullmatch(folder.name)
     frames = Frames(
         dark=[stack for name, stack in stacks.items() if name.startswith("dark/")],
         flat=[stack for name, stack in stacks.items() if name.startswith("flat/")],
+        iso=float(named[1]) if named else stated_of(listed(stacks_in(folder, "dark")[0])[0])[1],
         cfa=agreed("cfa", notes["cfa"], [f.cfa for f in everything], folder, "none"),
         bits=agreed("bits", notes["bits"], [f.bits for f in everything], folder, None),
         camera=notes["camera"],
     )
     check_codes(stacks, frames.cfa, frames.bits, folder)
     return frames
+
+
+def stacks_in(folder: Path, kind: str) -> list[Path]:
+    """The folders of stacks, "dark" or "flat"; of the latter there may be none.
+
+    Raises:
+        ValueError: If there are none in the dark.
+    """
+    place = folder / kind
+    folders = sorted(p for p in place.iterdir() if p.is_dir()) if place.is_dir() else []
+    if not folders and (kind == "dark" or place.is_dir()):
+        raise ValueError(f"{folder} needs a folder {kind}/ with a folder for each stack of frames in it")
+    return folders
 
 
 def iso_folders(folder: Path) -> dict[float, Path]:
@@ -217,15 +209,15 @@ def agreed(what: str, given: Any, found: list[Any], where: Path, default: Any) -
     return value
 
 
-def _plane(stacks: list[Stack], place: int) -> list[Stack]:
+def plane(stacks: list[Stack], place: int) -> list[Stack]:
     """One of the four kinds of pixels of a mosaic."""
     return [replace(s, frames=s.frames[:, place // 2 :: 2, place % 2 :: 2]) for s in stacks]
 
 
-def _colours(frames: Frames) -> dict[str, Any]:
+def colours(frames: Frames) -> dict[str, Any]:
     """Relative response of the filters to the flat light, and the error of each colour's black level."""
     kinds = channel_index((2, 2), frames.cfa).ravel()  # type: ignore[arg-type]  # there is a filter array here
-    black, bright = (np.array([[s.frames.mean() for s in _plane(stacks, i)] for i in range(4)])
+    black, bright = (np.array([[s.frames.mean() for s in plane(stacks, i)] for i in range(4)])
                      for stacks in (frames.dark, frames.flat))  # fmt: skip
     rise, level = np.polyfit([s.time for s in frames.dark], black.T, 1)
     signal = bright - level[:, None] - rise[:, None] * [s.time for s in frames.flat]
