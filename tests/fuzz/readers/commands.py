@@ -124,7 +124,7 @@ def _leave_out_the_work() -> None:
 
 
 def _refused(*_: Any, **__: Any) -> Any:
-    from novags.testbed.importing.calibration.camera import OwnCamera, MeasuredSetting
+    from novags.testbed.importing.calibration.camera import MeasuredSetting, OwnCamera
 
     sensor = __import__("sensor_model").PRESETS["ideal"]
     one = MeasuredSetting(sensor=sensor, found=None, assumed={}, test=(), maps=None, profile=None)

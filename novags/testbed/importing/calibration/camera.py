@@ -89,8 +89,10 @@ class OwnCamera:
         for iso, setting in self.settings.items():
             lines += [f"ISO {iso}"] * bool(iso) + setting.lines()
         for fit in self.fits:
-            lines.append(f"ISO {fit.isos[0]:g} to {fit.isos[1]:g}: gain = {fit.slope:.5g} ISO {fit.start:+.3g} DN/e-, "
-                         f"misses by {fit.residual:.2%} at most")  # fmt: skip
+            miss = f"misses by {fit.residual:.2%} at most" if fit.residual else "too few ISOs for a line to miss"
+            lines.append(
+                f"ISO {fit.isos[0]:g} to {fit.isos[1]:g}: gain = {fit.slope:.5g} ISO {fit.start:+.3g} DN/e-, {miss}"
+            )
         for low, high in zip(self.fits[:-1], self.fits[1:], strict=True):
             lines.append(f"dual gain: the pixels switch between ISO {low.isos[1]:g} and {high.isos[0]:g}")
         return "\n".join(lines)
