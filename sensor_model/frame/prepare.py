@@ -65,10 +65,8 @@ def prepare(
     """
     measured = measured or Measured()
     frames, cap = measured.dark, charge_cap(sensor, exposure)
-    s, light = (
-        sensor if frames is None else replace(sensor, **WITHOUT),
-        on_sensor(as_channels(photons), sensor, exposure),
-    )
+    s = sensor if frames is None else replace(sensor, **WITHOUT)
+    light = on_sensor(as_channels(photons), s, exposure)
     draws.check_extent(light.shape)
     dark_e, where = s.dark_e(exposure), (light.shape, exposure.origin)
     h, w, channels = light.shape

@@ -26,7 +26,15 @@ from simscenes.scenes import canonical_name
 
 RENAMED = {"views": "n_views"}  # as the command line calls them -> as `adapted` does
 SPELLED = {name: key for key, name in RENAMED.items()}
-NOT_AXES = ("preset", "return", "methods", "variants", "n_views", "dark")
+NOT_AXES = (
+    "preset",
+    "return",
+    "methods",
+    "variants",
+    "n_views",
+    "dark",
+    "dark_frames",
+)  # the last: capture.dark_frames
 STAGES = {"render": "render", "capture": "capture", "import": "imported"}  # render.max_depth -> of `Changes`, `Preset`
 # The settings of the short keys, where a dotted key sets the same.
 SETS = {

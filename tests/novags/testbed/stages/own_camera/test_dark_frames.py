@@ -216,3 +216,10 @@ def test_the_command_and_a_study_take_them(photographs: Path, tmp_path: Path, ca
     assert call(*args, "--out", str(tmp_path / "cap")) == 0
     assert json.loads((tmp_path / "cap" / "capture.json").read_text())["dark_frames"]
     assert changes_of("capture.dark_frames", "dark", tmp_path).capture == {"dark_frames": folder}
+
+
+def test_a_run_takes_them_too(photographs: Path, tmp_path: Path, call, capsys) -> None:
+    write_dark(tmp_path / "dark", n=3)
+    args = ["run", "--scene", str(photographs), "--sensor", "a7s2-iso6400", "--dark-frames", str(tmp_path / "dark")]
+    assert call(*args, "--methods", "naive", "--iterations", "2", "--out", str(tmp_path / "out")) != 0
+    assert "dark frames must be 4 or more, got 3" in "".join(capsys.readouterr())
