@@ -9,6 +9,8 @@ from .files.camera_file import read_sensor as read_sensor
 from .files.camera_file import sensor_from_dict as sensor_from_dict
 from .files.camera_file import write_sensor as write_sensor
 from .files.dng import write_dng as write_dng
+from .frame.measured import DarkFrames as DarkFrames
+from .frame.measured import Measured as Measured
 from .isp import Developed as Developed
 from .isp import develop as develop
 from .isp import develop_linear as develop_linear

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sensor_model import effects
 from sensor_model.frame import own, streams
+from sensor_model.frame.measured import Measured
 from sensor_model.frame.prepare import Prepared, as_channels, checked, on_sensor, prepare
 from sensor_model.moments import frame_moments
 from sensor_model.params import Exposure, Sensor, require
@@ -34,11 +35,12 @@ class RawFrame:
     sensor: Sensor  # as simulated: without effects that the plan left out
     exposure: Exposure
     shot: Shot = "poisson"
+    measured: Measured | None = None
 
     @cached_property
     def _moments(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         draws = streams.Draws(seed=0, origin=self.exposure.origin)
-        inputs = prepare(self.photons, self.sensor, self.exposure, draws, noise=False)
+        inputs = prepare(self.photons, self.sensor, self.exposure, draws, noise=False, measured=self.measured)
         mean, variance = frame_moments(inputs, self.shot)
         shape = self.photons.shape
         return mean.reshape(shape).astype(np.float32), variance.reshape(shape).astype(np.float32)
@@ -96,6 +98,7 @@ def expose(
     backend: Backend = "numba",
     precision: Precision = "float64",
     threads: int | None = None,
+    measured: Measured | None = None,
 ) -> RawFrame:
     """Take one frame.
 
@@ -114,6 +117,7 @@ def expose(
         precision: "float64" uses float32 only where that gives the same codes; "float32" always does, and then up to
             one code in a million per DN of noise is off by one (Gaussian read noise, normal shot noise; "numba" only).
         threads: How many to use; None: one per core. The frame does not depend on it.
+        measured: Maps and dark frames of this copy of the camera, in place of drawn numbers.
 
     Returns:
         The frame, with its analytic mean and variance.
@@ -133,7 +137,7 @@ def expose(
     if plan is not None:
         shot = "none" if not plan.is_on("photon_shot") else shot if plan.is_on("poisson") else "normal"
     draws = streams.Draws(seed=seed, view=view, frame=frame, origin=exposure.origin)
-    inputs = prepare(photons, s, exposure, draws)
+    inputs = prepare(photons, s, exposure, draws, measured=measured)
     if backend == "numpy":
         dn, saturated = read_out(collect_charge(inputs, shot), inputs)
     else:
@@ -143,7 +147,7 @@ def expose(
         if bad:
             check_light(photons, "photons")
     shape = photons.shape
-    return RawFrame(dn.reshape(shape), saturated.reshape(shape), photons, s, exposure, shot)
+    return RawFrame(dn.reshape(shape), saturated.reshape(shape), photons, s, exposure, shot, measured)
 
 
 def expose_burst(photons: ArrayLike, sensor: Sensor, exposure: Exposure, *, frames: int, **how: Any) -> list[RawFrame]:

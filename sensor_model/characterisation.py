@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from sensor_model.params import Defects, Sensor, require
@@ -19,6 +20,7 @@ QUANTISATION = 1 / 12  # DN**2
 UNDERFLOW = 0.005  # of the dark pixels that may be 0: more, and clipping hides the camera's noise
 HOT = 6  # standard deviations (robust ones over all pixels, and of the pixel's own noise) beyond which a pixel is hot
 COLD = 1e-6  # least dark current of normal pixels, as a share of the hot ones', which is stated as a multiple of it
+STEP = 0.4  # relative error of the variance of read noise, from which one gain does not explain it at all ISOs
 CROOKED = 0.2  # linearity error beyond which the stated light must be wrong, and not the camera
 UNITS = {"gain": "DN/e-", "black_level": "DN", "dark_current": "e-/s"} | dict.fromkeys(
     ("sigma_d", "sigma_row", "sigma_column", "dsnu", "mu_e_sat"), "e-"
@@ -110,10 +112,10 @@ def characterise(dark: Sequence[Stack], flat: Sequence[Stack]) -> Characterisati
     _check(dark, flat)
     hot, excess = _hot_pixels(dark)
     dark, flat = [_without(s, hot) for s in dark], [_without(s, hot) for s in flat]
-    dark_line, dark_noise = _line(dark, _mean), _line(dark, _temporal_variance)
+    dark_line, dark_noise = _line(dark, _mean), _line(dark, temporal_variance)
     time = np.array([s.time for s in flat])
     signal = np.array([_mean(s) for s in flat]) - (dark_line[0] + dark_line[1] * time)
-    noise = np.array([_temporal_variance(s) for s in flat]) - (dark_noise[0] + dark_noise[1] * time)
+    noise = np.array([temporal_variance(s) for s in flat]) - (dark_noise[0] + dark_noise[1] * time)
 
     peak = float(signal[np.argmax(noise)])  # variance collapses where pixels saturate
     saturated = (signal >= peak) & (noise < 0.5 * noise.max())
@@ -129,7 +131,7 @@ def characterise(dark: Sequence[Stack], flat: Sequence[Stack]) -> Characterisati
             f"at most {CROOKED}", round(error, 3), f"correct them{remedy}")  # fmt: skip
     straight, slope = _straightened(signal, bend)
     gain = _proportional(straight[used], (noise / slope**2)[used])
-    row, column, pixel = _noise_parts(dark, dark_noise[0])
+    row, column, pixel = noise_parts(dark, dark_noise[0])
     current = max(dark_line[1], COLD * excess)  # below 0, where there is next to none, by chance
     top = _straightened(np.array([max(_mean(s) for s in flat) - dark_line[0]]), bend)[0][0]
     return Characterisation(
@@ -180,7 +182,8 @@ def _mean(stack: Stack) -> float:
     return float(np.mean(stack.frames, dtype=np.float64))
 
 
-def _average(stack: Stack) -> Array:
+def average(stack: Stack) -> Array:
+    """Of each pixel over the frames, [h, w]."""
     return np.asarray(np.mean(stack.frames, axis=0, dtype=np.float64))
 
 
@@ -188,13 +191,13 @@ def _squares(stack: Stack) -> Iterator[Array]:
     """Of each frame the squared temporal deviation of every pixel, [h, w], without the changes that all pixels of a
     frame share, such as the flicker of a lamp (EMVA 1288, section 6).
     """
-    average = _average(stack)
-    pattern = average - average.mean()
+    mean = average(stack)
+    pattern = mean - mean.mean()
     for frame in stack.frames:
         yield np.square(frame - frame.mean(dtype=np.float64) - pattern)
 
 
-def _temporal_variance(stack: Stack) -> float:
+def temporal_variance(stack: Stack) -> float:
     """Mean over the pixels of their temporal variance."""
     n, h, w = np.shape(stack.frames)
     return float(np.sum([square.sum() for square in _squares(stack)])) / ((n - 1) * (h * w - 1))
@@ -213,13 +216,13 @@ def _spatial_variance(stack: Stack, shading: bool = False) -> float:
         stack: The frames.
         shading: Take out a parabola over rows and columns first: how a lens or a lamp fades towards the corners.
     """
-    average = _average(stack)
-    smooth = _parabola(average.shape) if shading else np.ones((average.size, 1))
-    rest = average.ravel() - smooth @ np.linalg.lstsq(smooth, average.ravel(), rcond=None)[0]
-    return float(rest @ rest) / (rest.size - smooth.shape[1]) - _temporal_variance(stack) / len(stack.frames)
+    mean = average(stack)
+    smooth = parabola(mean.shape) if shading else np.ones((mean.size, 1))
+    rest = mean.ravel() - smooth @ np.linalg.lstsq(smooth, mean.ravel(), rcond=None)[0]
+    return float(rest @ rest) / (rest.size - smooth.shape[1]) - temporal_variance(stack) / len(stack.frames)
 
 
-def _parabola(shape: tuple[int, ...]) -> Array:
+def parabola(shape: tuple[int, ...]) -> Array:
     """The six surfaces 1, x, y, x**2, xy, y**2 over a frame, [pixels, 6]."""
     y, x = (axis.ravel() for axis in np.meshgrid(*(np.linspace(-1, 1, n) for n in shape), indexing="ij"))
     return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], 1)
@@ -246,7 +249,7 @@ def _linearity(light: Array, signal: Array, peak: float) -> tuple[float, float]:
     return float(bend / response**2), float(np.abs(y / straight - 1).max())
 
 
-def _noise_parts(stacks: Sequence[Stack], at_zero_time: float) -> tuple[float, float, float]:
+def noise_parts(stacks: Sequence[Stack], at_zero_time: float) -> tuple[float, float, float]:
     """Temporal variance of rows, of columns and of single pixels in the dark, DN**2.
 
     Row means vary by the row noise and by the pixel noise that remains after averaging; the difference of two frames is
@@ -274,7 +277,7 @@ def _hot_pixels(dark: Sequence[Stack]) -> tuple[NDArray[np.bool_], float]:
     # Shortest and longest time; of several stacks of one time, the stack of most frames.
     first = min(dark, key=lambda s: (s.time, -len(s.frames)))
     last = max(dark, key=lambda s: (s.time, len(s.frames)))
-    grown = _average(last) - _average(first)
+    grown = average(last) - average(first)
     grown -= np.median(grown)
     # Where noise is below a DN, most pixels have grown by exactly as much, and any other would be hot
     spread = max(1.4826 * float(np.median(np.abs(grown))), QUANTISATION**0.5)
@@ -310,3 +313,59 @@ def _prnu(dark: Sequence[Stack], flat: Sequence[Stack], dark_line: tuple[float, 
 def _root(variance: float) -> float:
     """Square root of an estimated variance, which noise can make negative where the true one is 0."""
     return float(np.sqrt(max(variance, 0.0)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class GainFit:
+    """gain = slope ISO + start, DN/e-, over the ISOs that a camera reads with one gain of its pixels."""
+
+    isos: tuple[float, float]  # the first and the last that were measured
+    slope: float  # DN/e- per ISO
+    start: float  # DN/e-
+    residual: float  # largest relative deviation of a measured gain; 0 of one or two, which no line can miss
+
+    def gain(self, iso: float) -> float:
+        """At any ISO between them, DN/e-."""
+        return self.slope * iso + self.start
+
+
+def gain_fits(isos: Sequence[float], gains: Sequence[float], sigmas: Sequence[float]) -> list[GainFit]:
+    """Gain as a function of ISO: one line, or two where the camera switches the gain of its pixels in between.
+
+    Args:
+        isos: Rising.
+        gains: Measured at each, DN/e-.
+        sigmas: Read noise at each, e-.
+    """
+    iso, gain = np.array(isos, np.float64), np.array(gains, np.float64)
+    step = _dual_gain_step(gain, np.array(sigmas, np.float64))
+    fits = []
+    for side in (slice(0, step), slice(step, None)) if step else (slice(None),):
+        x, y = iso[side], gain[side]
+        slope, start = np.polyfit(x, y, 1, w=1 / y) if len(x) > 1 else (y[0] / x[0], 0.0)
+        miss = float(np.abs((slope * x + start) / y - 1).max()) if len(x) > 2 else 0.0
+        fits.append(GainFit(isos=(x[0].item(), x[-1].item()), slope=float(slope), start=float(start), residual=miss))
+    return fits
+
+
+def _dual_gain_step(gain: Array, sigma: Array) -> int | None:
+    """Index of the first ISO at the high gain of the pixels; None if one gain explains the read noise of all.
+
+    Noise before the amplifier is constant in electrons and noise behind it in DN: with one gain of the pixels the
+    variance is a + b / gain**2, e-**2, both >= 0, and the read noise in DN never falls with the ISO.
+    """
+
+    def misses(part: slice) -> Array:
+        basis = np.stack([np.ones_like(gain[part]), gain[part] ** -2], 1) / np.maximum(sigma[part, None], 1e-9) ** 2
+        return np.asarray(basis @ scipy.optimize.nnls(basis, np.ones(len(basis)))[0] - 1)
+
+    whole = misses(slice(None))
+    if len(gain) < 2 or np.abs(whole).max() <= STEP:
+        return None
+    totals = [
+        float(np.square(np.append(misses(slice(0, k)), misses(slice(k, None)))).sum()) for k in range(1, len(gain))
+    ]
+    # Of few ISOs several splits fit: then where the noise falls most
+    best = 1 + min(range(len(totals)), key=lambda k: (round(totals[k], 2), sigma[k + 1] / sigma[k]))
+    better = totals[best - 1] < float(np.square(whole).sum()) / 4
+    return best if better and sigma[best] < sigma[best - 1] else None

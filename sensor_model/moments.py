@@ -74,8 +74,10 @@ def _spilled(s: Sensor, charge: Array, base: Array, extra: Array, shot: str) -> 
 
 
 def extra_variance(inputs: Prepared) -> Array:
-    """Variance of row, column, banding and telegraph noise, [h, w, c] or [1, 1, 1], e-**2."""
+    """Variance of row, column, banding and telegraph noise, or of dark frames, [h, w, c] or [1, 1, 1], e-**2."""
     s = inputs.sensor
+    if inputs.variance is not None:
+        return inputs.variance
     variance = np.full((1, 1, 1), s.sigma_row**2 + s.sigma_column**2)
     if s.banding:
         variance += s.banding.amplitude**2 / 2

@@ -7,7 +7,8 @@ import numpy as np
 
 from sensor_model.files.dng import XYZ_TO_SRGB
 
-FORMS = {"B": (1, "B"), "A": (2, "s"), "H": (3, "H"), "I": (4, "I"), "R": (5, "II"), "S": (10, "ii"), "F": (11, "f")}
+FORMS = {"B": (1, "B"), "A": (2, "s"), "H": (3, "H"), "I": (4, "I"), "R": (5, "II"), "S": (10, "ii"), "F": (11, "f"),
+         "D": (12, "d")}  # fmt: skip
 NEUTRAL = np.array([0.5, 1.0, 0.7])  # response to white
 Tags = dict[int, tuple[str, list[float]]]
 

@@ -22,6 +22,7 @@ def run(
     level: str | None = None,
     sensor: str | None = None,
     electrons: float | None = None,
+    dark_frames: Path | None = None,
     budget: str | None = None,
     curves: Path | None = None,
     out: Path | None = None,
@@ -62,6 +63,7 @@ def run(
         level: Camera, electrons and pictures of one of the paper's data sets: lom, llnerf, llrs or mvtv, with -3chip
             without demosaicing; `novags list levels` shows them. --sensor and --electrons change it.
         sensor: A camera of sensor_model.PRESETS, or a TOML file of your own.
+        dark_frames: As of `novags capture`.
         electrons: Mean signal of the green channel over the set, electrons per pixel and exposure.
         budget: Time that everything may take, 120s, 5min, 1h: iterations, Gaussians, denoiser steps, samples and size
             are chosen to lose least against the preset, except the settings given here. The expected loss is said
@@ -109,6 +111,7 @@ def run(
                          "--engine")  # fmt: skip
     chosen = adapted(
         EXPERIMENTS[preset], scene=scene, photos=photos, fps=fps, level=level, sensor=sensor, electrons=electrons,
+        dark_frames=dark_frames,
         methods=_compared(methods, variant), n_views=views,
         width=width, height=height, spp=spp, max_size=max_size, points=points, iterations=iterations,
         denoiser_steps=denoiser_steps, score_at=score_at or None, hold_out=hold_out, seed=seed,

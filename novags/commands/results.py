@@ -223,15 +223,18 @@ def report(
 
 
 def characterise(
-    folder: Folder, *, out: Path, window: int = 1024, overwrite: bool = False, wait: bool = False, dry_run: bool = False
-) -> None:
+    folder: Folder, *, out: Path, window: int = 1024, maps: bool = False, overwrite: bool = False, wait: bool = False,
+    dry_run: bool = False,
+) -> None:  # fmt: skip
     """Estimate a camera from its dark and flat frames, and write it as a TOML file for --sensor.
 
     Args:
         folder: dark/NAME/* and flat/NAME/*, each NAME some frames of one exposure (raw files, 16-bit PNG or TIFF, npy),
-            and frames.toml for values that the files do not state: bits, exposure times, photons, eta.
+            and frames.toml for values that the files do not state: bits, exposure times, photons, eta. Or folders isoN
+            of these, for a camera at several ISOs: --sensor FILE.toml@N. Without flat frames the gain is assumed.
         out: The TOML file.
         window: Side of the central square of the sensor that is used, in pixels.
+        maps: Also measure every pixel of that square, and write a file of maps beside the TOML file.
         overwrite: Replace a file of other content.
         wait: If another process is writing there, wait until it is done instead of refusing.
         dry_run: Estimate the camera, on which it depends whether a file there is another, and only say whether it would
@@ -239,16 +242,27 @@ def characterise(
     """
     from novags.numbers import SIDE, check_range
     from novags.testbed.console.terminal import warnings_as_notes
-    from novags.testbed.importing.calibration_frames import characterise_folder
+    from novags.testbed.importing.calibration.camera import characterise_folder
     from novags.testbed.ledger.dry import planned
-    from sensor_model.files.camera_file import write_sensor
+    from sensor_model.files.camera_file import write_maps, write_sensor
 
     check_range("window", window, 2, SIDE, " px")
     with writing(out.parent, wait, name=f".{out.name}.lock", dry_run=dry_run) as console:
         with warnings_as_notes(console):
-            sensor, found = characterise_folder(folder, window=window)
+            found = characterise_folder(folder, window=window, maps=maps)
         comment = f"measured from {os.path.basename(os.path.realpath(folder))}; what the frames say:\n{found}"
-        write_sensor(out, sensor, comment=comment, overwrite=overwrite)
-        planned(console, "characterise", [out])
+        sensors = {iso: setting.sensor for iso, setting in found.settings.items()}
+        files = {
+            iso: out.with_name(f"{out.stem}-iso{iso}.npz" if iso else f"{out.stem}.npz") for iso in sensors if maps
+        }
+        for iso, file in files.items():
+            if (measured := found.settings[iso].maps) is not None:
+                write_maps(file, measured, overwrite=overwrite)
+        names = {iso: file.name for iso, file in files.items()}
+        one = sensors.get(0)
+        write_sensor(out, sensors if one is None else one, comment=comment, overwrite=overwrite, fits=found.fits,
+                     maps=names if one is None else names.get(0))  # fmt: skip
+        planned(console, "characterise", [out, *files.values()])
         say(f"{found}\n{out}")
-        next_(f"novags capture SET --sensor {typed(out)} --electrons 20 --out CAPTURE")
+        at = "" if one is not None else f"@{max(sensors)}"
+        next_(f"novags capture SET --sensor {typed(out)}{at} --electrons 20 --out CAPTURE")

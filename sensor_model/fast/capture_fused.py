@@ -17,7 +17,7 @@ from sensor_model.fast.kernels import MU, C, N, P, W, inline, jit, normal, tukey
 from sensor_model.fast.kernels32 import NORMAL_ERROR, normal32
 from sensor_model.fast.poisson import poisson
 from sensor_model.frame import streams
-from sensor_model.frame.prepare import Prepared, charge_cap
+from sensor_model.frame.prepare import Prepared
 
 QUIET, NORMAL, TUKEY = range(3)
 SHOTS = {"poisson": 0, "normal": 1, "none": 2}
@@ -51,7 +51,7 @@ def capture(
         *given[:2],
         s.eta,
         inputs.dark_e,
-        charge_cap(s, inputs.exposure),
+        inputs.cap,
         SHOTS[shot],
         single,
     )

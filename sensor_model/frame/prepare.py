@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sensor_model import effects
 from sensor_model.frame import own, pattern, streams
+from sensor_model.frame.measured import WITHOUT, Measured, cut
 from sensor_model.mosaicking import channel_index
 from sensor_model.params import LARGEST, Exposure, Sensor, require
 
@@ -30,6 +31,8 @@ class Prepared:
     rows: Array  # this frame's row noise and banding [h, c], e-
     columns: Array  # this frame's column noise [w, c], e-
     black: Array  # black level of each place in the 2 x 2 pattern [2, 2, c], DN
+    cap: float  # `charge_cap`, e-
+    variance: Array | None = None  # of dark frames [h, w, c], e-**2: of all there is without light but shot noise
 
     @property
     def mean_charge(self) -> Array:
@@ -38,7 +41,7 @@ class Prepared:
         dark = self.dark_e if self.dark is None else self.dark.astype(np.float64)
         with np.errstate(over="ignore"):  # an overflow to infinity is as full as the cap
             mu_e = effects.collect(self.light.astype(np.float64), eta=self.sensor.eta, response=response, dark_e=dark)
-        return np.minimum(mu_e, charge_cap(self.sensor, self.exposure))
+        return np.minimum(mu_e, self.cap)
 
     @property
     def black_dn(self) -> Array:
@@ -48,27 +51,55 @@ class Prepared:
 
 
 def prepare(
-    photons: NDArray, sensor: Sensor, exposure: Exposure, draws: streams.Draws, *, noise: bool = True
+    photons: NDArray,
+    sensor: Sensor,
+    exposure: Exposure,
+    draws: streams.Draws,
+    *,
+    noise: bool = True,
+    measured: Measured | None = None,
 ) -> Prepared:
-    """Everything but the noise of single pixels; `noise=False` also leaves out row, column and telegraph noise."""
-    s, light = sensor, on_sensor(as_channels(photons), sensor, exposure)
+    """Everything but the noise of single pixels; `noise=False` also leaves out row, column and telegraph noise.
+
+    Dark frames are an offset of each pixel, and the camera is one without the effects in them.
+    """
+    measured = measured or Measured()
+    frames, cap = measured.dark, charge_cap(sensor, exposure)
+    s = sensor if frames is None else replace(sensor, **WITHOUT)
+    light = on_sensor(as_channels(photons), s, exposure)
     draws.check_extent(light.shape)
     dark_e, where = s.dark_e(exposure), (light.shape, exposure.origin)
     h, w, channels = light.shape
-    offset = pattern.offset_map(s.serial, s.dsnu, *where) if s.dsnu else None
+    offset, response = (
+        _frozen(cut(given, *where)) if given is not None else drawn(s.serial, amount, *where) if amount else None
+        for amount, given, drawn in (
+            (s.dsnu, measured.offset, pattern.offset_map), (s.prnu, measured.response, pattern.response_map),
+        )
+    )  # fmt: skip
+    if frames is not None:
+        offset = _frozen(frames.drawn(draws, light.shape) if noise else cut(frames.mean, *where))
     return Prepared(
         sensor=s,
         exposure=exposure,
         draws=draws,
         light=light,
-        response=pattern.response_map(s.serial, s.prnu, *where) if s.prnu else None,
+        response=response,
         dark_e=dark_e,
         dark=pattern.dark_map(s, dark_e, *where),
         offset=_with_telegraph(offset, s, draws, *where) if noise else offset,
         rows=_rows(s, draws, h, channels) if noise else np.zeros((h, channels)),
         columns=_columns(s, draws, w, channels) if noise else np.zeros((w, channels)),
         black=_black(s, channels),
+        cap=cap,
+        variance=None if frames is None else cut(frames.variance, *where),
     )
+
+
+def _frozen(values: NDArray) -> NDArray[np.float32]:
+    """As the maps of `pattern` are: numba compiles once more for writable arrays."""
+    out = np.array(values, np.float32)
+    out.flags.writeable = False
+    return out
 
 
 def on_sensor(light: NDArray, sensor: Sensor, exposure: Exposure) -> NDArray:

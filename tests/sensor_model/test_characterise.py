@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sensor_model import PRESETS, Exposure, Stack, characterise, expose, read_sensor, write_sensor
-from sensor_model.characterisation import _noise_parts
+from sensor_model.characterisation import noise_parts
 
 SIDE, FULL, RATE, ETA = 160, 8000, 40_000.0, 0.6  # px, e-, e-/s, e- per photon
 TRUE = {"gain": 2.0, "sigma_d": 3.0, "dark_current": 50.0, "prnu": 0.01, "dsnu": 1.0, "black_level": 100.0}
@@ -204,4 +204,4 @@ def test_noise_of_rows_is_that_of_all_dark_stacks() -> None:
     """Two stacks, of which one has noise of rows: its variance, 36 DN^2, counts half."""
     stacks = [Stack(stack(0.0, 0.01, 20, seed, row=row, dark=0.0), 0.01) for seed, row in enumerate((3.0, 0.0))]
     for order in (stacks, stacks[::-1]):
-        assert _noise_parts(order, 100.0)[0] == pytest.approx(18.0, rel=0.15)
+        assert noise_parts(order, 100.0)[0] == pytest.approx(18.0, rel=0.15)

@@ -16,13 +16,15 @@ from novags.testbed.folders.place import keep_place, recorded_place
 from novags.testbed.folders.set import Source, open_source
 from novags.testbed.importing.exposures import exposure_doubts
 from novags.testbed.ledger.stage import run_stage
-from novags.testbed.stages.configs.capturing import CaptureConfig
+from novags.testbed.stages.configs.capturing import CaptureConfig, camera_file
 from novags.testbed.stages.layouts import LAYOUTS, check_source_of, truth_of, write_layouts
 from novags.testbed.stages.paths import keep_apart
 from novags.warm import compile_ahead
 from sensor_model.capture import RawFrame, clean_response, expose
+from sensor_model.files.camera_file import read_maps
 from sensor_model.files.dng import SMALLEST
 from sensor_model.files.lock import locked
+from sensor_model.frame.measured import Measured
 from sensor_model.mosaicking import mosaic
 from sensor_model.params import Exposure, Sensor
 from sensor_model.plan import Plan
@@ -107,6 +109,8 @@ class Light:
 
     mean_green: float  # radiance over the set
     signal_e: np.ndarray  # `QUANTILES` of the charge in the sensor's channels, e-
+    sensor: Sensor  # with dark frames, in their numbers
+    measured: Measured  # maps and dark frames of the camera
     plan: Plan | None  # which effects to simulate; None: all of them
 
 
@@ -130,7 +134,8 @@ def meter(source: Source, config: CaptureConfig, console: Console, pixels: int |
     Raises:
         ValueError: If the set is black or holds bad radiance.
     """
-    sensor = camera_for(source, config)
+    measured = measured_of(source, config, console)
+    sensor = measured.dark.described if measured.dark else camera_for(source, config)
     with console.progress("capture: light") as progress:
         mean_green, signal = measure_light(source, sensor, progress)
     signal_e = signal * config.electrons / mean_green
@@ -140,8 +145,22 @@ def meter(source: Source, config: CaptureConfig, console: Console, pixels: int |
             f"and {config.sensor_name} saturates at {sensor.capacity_e:.3g} e-; take fewer electrons"
         )
     if (limits := config.limits(pixels or source.rig.width * source.rig.height)) is None:
-        return Light(mean_green, signal_e, None)
-    return Light(mean_green, signal_e, plan_effects(sensor, config.exposure, signal_e, limits))
+        return Light(mean_green, signal_e, sensor, measured, None)
+    plan = plan_effects(sensor, config.exposure, signal_e, limits)
+    return Light(mean_green, signal_e, sensor, measured, measured.said(plan))
+
+
+def measured_of(source: Source, config: CaptureConfig, console: Console) -> Measured:
+    """What was measured of the camera's pixels, of the middle of its sensor: the same part for all views.
+
+    Raises:
+        ValueError: If it does not fit the camera or the pictures.
+    """
+    size, file = (source.rig.height, source.rig.width), camera_file(config.sensor)
+    found = Measured() if file.maps is None else read_maps(file.maps, size)
+    if config.dark_frames is None:
+        return found
+    return replace(found, dark=config.dark_folder(file).read(camera_for(source, config), size, config.time, console))
 
 
 def capture_views(
@@ -155,7 +174,7 @@ def capture_views(
     Raises:
         ValueError: If the set holds bad radiance.
     """
-    sensor, exposure, plan = camera_for(source, config), config.exposure, light.plan
+    sensor, exposure, plan = light.sensor, config.exposure, light.plan
     names = source.views.names
     compile_ahead("camera", console.note)
     with console.progress("capture") as progress:
@@ -163,7 +182,7 @@ def capture_views(
             if not has_view(folder, name):
                 frame, clean = expose_with_truth(
                     source.radiance(i), sensor, exposure, electrons=config.electrons, mean_green=light.mean_green,
-                    seed=config.noise_seed, view=i, plan=plan,
+                    seed=config.noise_seed, view=i, plan=plan, measured=light.measured,
                 )  # fmt: skip
                 matrix = source.color_matrix
                 write_view(
@@ -197,13 +216,14 @@ def capture_views(
         "width": source.rig.width,
         "height": source.rig.height,
         "plan": None if plan is None else plan.to_dict(),
+        **dict(config.measured),
         **({"files": files_of(source)} if source.views.renamed else {}),
     }
 
 
 def expose_view(
     radiance: np.ndarray, sensor: Sensor, exposure: Exposure, *, electrons: float, mean_green: float, seed: int,
-    view: int, plan: Plan | None = None,
+    view: int, plan: Plan | None = None, measured: Measured | None = None,
 ) -> RawFrame:  # fmt: skip
     """One exposure of linear RGB [h,w,3], scaled so that green of `mean_green` gives so many electrons.
 
@@ -212,7 +232,7 @@ def expose_view(
     """
     photons = photons_for_electrons(radiance, electrons=electrons, mean_green=mean_green, sensor=sensor)
     seen = mosaic(photons, sensor.cfa) if sensor.cfa else photons
-    return expose(seen, sensor, exposure, seed=seed, view=view, plan=plan)
+    return expose(seen, sensor, exposure, seed=seed, view=view, plan=plan, measured=measured)
 
 
 def expose_with_truth(

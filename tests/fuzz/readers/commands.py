@@ -97,7 +97,7 @@ def _imports() -> None:
 def _leave_out_the_work() -> None:
     """In the child, since other readers need the stages."""
     import novags.commands.answers.doctor as doctor
-    import novags.testbed.importing.calibration_frames as frames
+    import novags.testbed.importing.calibration.camera as camera
     import novags.testbed.report.page as page
     import novags.testbed.report.place as place
     import novags.testbed.stages.planning as forecast
@@ -119,12 +119,16 @@ def _leave_out_the_work() -> None:
     place.places_in = lambda *a: []
     forecast.light_plan = lambda *a, **k: None
     forecast.sensor_plan = lambda *a, **k: ("", {})
-    frames.characterise_folder = _refused
+    camera.characterise_folder = _refused
     shared.console = lambda: __import__("novags.testbed.console.terminal", fromlist=["Console"]).Console(quiet=True)
 
 
 def _refused(*_: Any, **__: Any) -> Any:
-    return __import__("sensor_model").PRESETS["ideal"], "measured"
+    from novags.testbed.importing.calibration.camera import MeasuredSetting, OwnCamera
+
+    sensor = __import__("sensor_model").PRESETS["ideal"]
+    one = MeasuredSetting(sensor=sensor, found=None, assumed={}, test=(), maps=None, profile=None)
+    return OwnCamera(settings={0: one}, fits=())
 
 
 READERS = [Reader("command line", make, read, ("*.argv",), share=0.5, prepare=_imports, placed=False, odd=False)]

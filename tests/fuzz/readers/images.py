@@ -91,7 +91,7 @@ def make_jpeg(folder: Path) -> None:
 
 def read_picture(folder: Path, file: Path) -> object:
     """By every way in which a picture is read: as codes, as a photograph, and its size alone."""
-    from novags.testbed.importing.calibration_frames import _read
+    from novags.testbed.importing.calibration.frames import read_frame
     from simscenes.rigs import Rig, intrinsics
     from simscenes.sets.multiview import MultiviewSet
     from simscenes.sets.pictures.png import read_codes
@@ -101,7 +101,7 @@ def read_picture(folder: Path, file: Path) -> object:
     one = MultiviewSet(path=folder, names=("a",), rig=rig, kind="photographs", meta={}, files=(file,))
     ways = [image_size, read_codes, lambda f: one.image(0)]
     if file.name == "grey16.png":
-        ways.append(_read)
+        ways.append(read_frame)
     return _try_all(ways, file)
 
 

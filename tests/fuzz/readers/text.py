@@ -83,7 +83,7 @@ def make_frames(folder: Path) -> None:
 
 
 def read_frames(folder: Path, file: Path) -> object:
-    from novags.testbed.importing.calibration_frames import read_frames
+    from novags.testbed.importing.calibration.frames import read_frames
 
     return read_frames(folder)
 
@@ -128,7 +128,7 @@ def _frames() -> None:
     import cv2  # noqa: F401
     from PIL import Image  # noqa: F401
 
-    import novags.testbed.importing.calibration_frames  # noqa: F401
+    import novags.testbed.importing.calibration.frames  # noqa: F401
 
 
 def _sets() -> None:

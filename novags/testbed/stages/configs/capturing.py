@@ -2,13 +2,14 @@
 
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from novags.numbers import SIDE, check_range
 from novags.settings import check_seed
 from novags.testbed.ledger.code import Code, code_of
+from novags.testbed.ledger.contents import folder_digest
 from novags.testbed.stages.layouts import check_layouts
-from sensor_model.files.camera_file import read_sensor
+from sensor_model.files.camera_file import CameraFile, read_camera, split_iso
 from sensor_model.files.dng import TIMES
 from sensor_model.files.reading import brief
 from sensor_model.frame import own
@@ -16,6 +17,9 @@ from sensor_model.isp import DEMOSAIC, Demosaic
 from sensor_model.params import Exposure, Sensor
 from sensor_model.planner import Limits
 from sensor_model.presets import PRESETS
+
+if TYPE_CHECKING:
+    from novags.testbed.importing.calibration.dark_frames import DarkFolder
 
 FULL_SIZE = tuple(name for name in DEMOSAIC if name != "half")  # pictures must be as large as their cameras say
 
@@ -41,11 +45,17 @@ class CaptureConfig:
     demosaic: Demosaic = "menon"  # for sensors with a colour filter array
     jpeg_quality: int | None = None  # 1..100: the 8-bit pictures go through JPEG; None: they do not
     tolerance: float | None = 0.05  # leave out effects that change the noise by less; None simulates all
+    dark_frames: Path | None = None  # of this camera: all that is there without light is drawn from them
     export: tuple[str, ...] = ()  # further layouts of the capture: "blender", "llff"
     camera: Sensor = field(init=False)  # the camera named by `sensor`: a file is read once, and its content is hashed
+    measured: tuple[tuple[str, str], ...] = field(init=False)  # hashes of its maps and dark frames, by name
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "camera", camera_named(self.sensor))
+        file = camera_file(self.sensor)
+        object.__setattr__(self, "camera", file.sensor)
+        maps = [] if file.maps is None else [("maps", folder_digest(file.maps.parent, (), beside={"maps": file.maps}))]
+        frames = [] if self.dark_frames is None else [("dark_frames", self.dark_folder(file).digest())]
+        object.__setattr__(self, "measured", (*maps, *frames))
         if not 0 < self.electrons <= BRIGHTEST:
             raise ValueError(f"electrons must be > 0 and at most {BRIGHTEST:g}, got {self.electrons}")
         if self.max_size is not None:
@@ -64,13 +74,23 @@ class CaptureConfig:
     @property
     def sensor_name(self) -> str:
         """Name of the preset or of the camera's file."""
-        return self.sensor if self.sensor in PRESETS else Path(self.sensor).stem
+        return title_of(self.sensor)
+
+    def dark_folder(self, file: CameraFile | None = None) -> "DarkFolder":
+        """Where its dark frames are."""
+        from novags.testbed.importing.calibration.dark_frames import find_dark_frames  # imports readers of pictures
+
+        assert self.dark_frames is not None
+        return find_dark_frames(self.dark_frames, file or camera_file(self.sensor))
 
     def resolved(self) -> dict[str, Any]:
         """The settings that determine the pictures: the camera itself, neither the path of its file nor further
         layouts.
         """
-        kept = {name: value for name, value in asdict(self).items() if name != "export"}
+        kept = {
+            name: value for name, value in asdict(self).items() if name not in ("export", "dark_frames", "measured")
+        }
+        kept |= dict(self.measured)
         truth = {"truth": "three channels"} if self.camera.cfa else {}  # earlier versions kept the mosaic alone
         return kept | truth | {"sensor": self.sensor_name}
 
@@ -113,16 +133,22 @@ class OwnNoiseConfig(CaptureConfig):
         return self.drawn
 
 
-def camera_named(name: str) -> Sensor:
+def title_of(sensor: str) -> str:
+    """The name of a preset, or of a camera's file; with its ISO as presets have it, mine-iso3200."""
+    file, iso = split_iso(sensor)
+    return sensor if sensor in PRESETS else Path(file).stem + ("" if iso is None else f"-iso{iso:g}")
+
+
+def camera_file(name: str) -> CameraFile:
     """A preset by name, or the camera in a TOML file.
 
     Raises:
         ValueError: If there is no such preset, or the file is missing or does not describe a camera.
     """
     if name in PRESETS:
-        return PRESETS[name]
-    if not name.endswith(".toml"):
+        return CameraFile(sensor=PRESETS[name])
+    if not split_iso(name)[0].endswith(".toml"):
         raise ValueError(
             f"unknown sensor {brief(repr(name), 100)}; give a camera's .toml file, or one of {', '.join(PRESETS)}"
         )
-    return read_sensor(name)
+    return read_camera(name)

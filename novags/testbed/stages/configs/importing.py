@@ -10,12 +10,11 @@ from novags.testbed.importing.published.datasets import DATASETS
 from novags.testbed.importing.split import Split
 from novags.testbed.importing.stored import Codes16, Curve
 from novags.testbed.ledger.code import Code, code_of
-from novags.testbed.stages.configs.capturing import FULL_SIZE, camera_named
+from novags.testbed.stages.configs.capturing import FULL_SIZE, camera_file, title_of
 from sensor_model.files.dng import TIMES
 from sensor_model.frame import own
 from sensor_model.isp import Demosaic
 from sensor_model.params import Sensor
-from sensor_model.presets import PRESETS
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +35,7 @@ class ImportConfig:
     camera: Sensor | None = field(init=False)  # the camera named by `sensor`
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "camera", None if self.sensor is None else camera_named(self.sensor))
+        object.__setattr__(self, "camera", None if self.sensor is None else camera_file(self.sensor).sensor)
         if self.time is not None and not (self.time == 0 or TIMES[0] <= self.time <= TIMES[1]):
             raise ValueError(f"time must be 0 or in {TIMES} s, the range of raw files, got {self.time}")
         if self.max_size is not None:
@@ -69,7 +68,7 @@ class ImportConfig:
     @property
     def sensor_name(self) -> str | None:
         """Name of the preset or of the camera's file."""
-        return self.sensor if self.sensor is None or self.sensor in PRESETS else Path(self.sensor).stem
+        return None if self.sensor is None else title_of(self.sensor)
 
     def resolved(self) -> dict[str, Any]:
         """The settings that determine the result, besides the content of folders."""

@@ -32,8 +32,8 @@ def refuse_more(capture: Capture, source: Source) -> None:
         raise ValueError("more views of photographs are not known")
     if scene.partition(":")[0] not in SCENES:
         raise ValueError("more views are rendered of scenes of the catalogue alone")
-    if capture.record.sensor_name not in PRESETS:
-        raise ValueError("more views are taken with cameras of the catalogue alone")
+    if capture.record.sensor_name not in PRESETS or "dark_frames" in capture.record.stage["config"]:
+        raise ValueError("more views are taken with cameras of the catalogue alone, without dark frames")
 
 
 def make_more(capture: Capture, source: Source, folder: Path, console: Console) -> None:

@@ -18,6 +18,7 @@ from novags.settings import changed, check_types, converted, flattened, has_sett
 from novags.testbed.importing.published.named import DATA
 from novags.testbed.study.cells.levels import level_named
 from novags.testbed.study.cells.presets import Preset, adapted
+from sensor_model.files.camera_file import split_iso
 from sensor_model.files.door import resolved
 from sensor_model.presets import PRESETS as SENSORS
 from simscenes.loading.reference import is_scene_file
@@ -25,7 +26,15 @@ from simscenes.scenes import canonical_name
 
 RENAMED = {"views": "n_views"}  # as the command line calls them -> as `adapted` does
 SPELLED = {name: key for key, name in RENAMED.items()}
-NOT_AXES = ("preset", "return", "methods", "variants", "n_views", "dark")
+NOT_AXES = (
+    "preset",
+    "return",
+    "methods",
+    "variants",
+    "n_views",
+    "dark",
+    "dark_frames",
+)  # the last: capture.dark_frames
 STAGES = {"render": "render", "capture": "capture", "import": "imported"}  # render.max_depth -> of `Changes`, `Preset`
 # The settings of the short keys, where a dotted key sets the same.
 SETS = {
@@ -159,14 +168,18 @@ def _whole_path_of_stage(key: str, value: Any, folder: Path) -> Any:
         return scene_of(_text(value), folder)
     if key in ("capture.sensor", "import.sensor"):
         return _sensor(value, folder)
-    if key in ("import.lit", "import.clean") and isinstance(value, str) and value.lower() != "none":
+    if (
+        key in ("import.lit", "import.clean", "capture.dark_frames")
+        and isinstance(value, str)
+        and value.lower() != "none"
+    ):
         return folder / Path(_text(value)).expanduser()
     return value
 
 
 def _sensor(value: Any, folder: Path) -> Any:
     """A camera by its name; its file by the whole path."""
-    is_file = isinstance(value, str) and value not in SENSORS and value.endswith(".toml")
+    is_file = isinstance(value, str) and value not in SENSORS and split_iso(value)[0].endswith(".toml")
     return str(folder / Path(value).expanduser()) if is_file else value
 
 

@@ -206,6 +206,7 @@ def adapted(
     level: str | None = None,
     sensor: str | None = None,
     electrons: float | None = None,
+    dark_frames: Path | None = None,
     methods: tuple[str, ...] | None = None,
     variants: tuple[Variant, ...] | None = None,
     cameras: CameraConfig | None = None,
@@ -274,7 +275,9 @@ def adapted(
         photos=bare,
         dark=dark,
         imported=imported,
-        capture=_changed(preset.capture, sensor=sensor, electrons=electrons, max_size=max_size, seed=seed),
+        capture=_changed(
+            preset.capture, sensor=sensor, electrons=electrons, dark_frames=dark_frames, max_size=max_size, seed=seed
+        ),
         methods=methods,
         variants=variants,
         cameras=cameras,

@@ -10,8 +10,9 @@ import cv2
 import numpy as np
 import pytest
 
-from novags.testbed.importing import calibration_frames as calibration
-from novags.testbed.importing.calibration_frames import characterise_folder, read_frames
+from novags.testbed.importing.calibration import frames as calibration
+from novags.testbed.importing.calibration.camera import characterise_folder as all_of
+from novags.testbed.importing.calibration.frames import read_frames
 from sensor_model import PRESETS, Exposure, Sensor, expose, mosaic, read_sensor, write_dng
 
 MONO = Sensor(
@@ -58,6 +59,12 @@ def as_tiff_with_exif(path: Path, dn: np.ndarray, _: Sensor, exposure: Exposure)
     tags = TiffImagePlugin.ImageFileDirectory_v2()
     tags[34665] = {33434: TiffImagePlugin.IFDRational(round(exposure.time * 10_000), 10_000)}
     Image.fromarray(dn).save(path.with_suffix(".tiff"), tiffinfo=tags)
+
+
+def characterise_folder(folder: Path) -> tuple[Sensor, Any]:
+    """At one setting."""
+    (one,) = all_of(folder).settings.values()
+    return one.sensor, one.found
 
 
 def write_notes(folder: Path, taken: dict[str, tuple], head: str, *, photons: bool = True, times: bool = True) -> None:
@@ -295,7 +302,7 @@ def test_files_that_hold_no_frames_are_named(save, message: str, tmp_path: Path)
 
 @pytest.mark.parametrize("odd", range(3))
 def test_every_frame_of_a_stack_counts_in_its_size_and_its_time(odd: int) -> None:
-    files = [calibration._CalibrationFrame(np.full((2, 10, 12), k, np.uint16), 0.5) for k in range(3)]
+    files = [calibration.CalibrationFrame(np.full((2, 10, 12), k, np.uint16), 0.5) for k in range(3)]
     found = calibration._stack(Path("dark/a"), files, {"photons": 3.0})
     assert found.frames.shape == (6, 10, 12)
     assert [found.frames[2 * k].max() for k in range(3)] == [0, 1, 2]
@@ -319,6 +326,6 @@ def test_colours_are_those_of_all_stacks_below_saturation() -> None:
 
     frames: Any = SimpleNamespace(cfa="RGGB", dark=[stack(t, 0.0) for t in (0.0, 1.0, 4.0)],
                                   flat=[stack(1.0, light) for light in (400.0, 800.0, 9000.0)])  # fmt: skip
-    found = calibration._colours(frames)
+    found = calibration.colours(frames)
     assert found["rgb_response"] == pytest.approx(response.tolist(), rel=1e-6)
     assert found["rgb_bias"] == pytest.approx((black - black[1]).tolist(), abs=1e-6)

@@ -1,8 +1,9 @@
-"""A camera from a folder of its dark and flat frames.
+"""The dark and flat frames of a camera, from a folder.
 
 FOLDER/dark/NAME/*   each NAME is one stack: two or more dark frames, all of one exposure time
 FOLDER/flat/NAME/*   the same in front of a uniform light
 FOLDER/frames.toml   optional: values that the files themselves do not state
+FOLDER/isoN/         or such folders at several ISOs, which may share FOLDER/frames.toml
 
 Frames are camera raw files, 16-bit PNG or TIFF of one channel (of any number of pages), or .npy of [h,w] or [n,h,w].
 Exposure times come from
@@ -19,30 +20,31 @@ photons = 812.0              # mean number per pixel, if it was measured: gives 
 sensor_model sees the frames only as arrays; only this module knows the layout of the folder.
 """
 
-from dataclasses import asdict, dataclass, replace
+import re
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from novags.testbed.folders.photographs.raw_files import is_raw, read_mosaic
+from novags.testbed.importing.calibration.codes import check_codes
 from novags.testbed.importing.exposures import stated_of
-from novags.testbed.importing.frame_codes import check_codes
 from novags.testbed.importing.stored import is_lossy
-from sensor_model.characterisation import Characterisation, Stack, characterise
-from sensor_model.files.camera_file import sensor_from_dict
+from sensor_model.characterisation import Stack
 from sensor_model.files.door import opened
 from sensor_model.files.reading import reading, some
 from sensor_model.files.records import check_shape
 from sensor_model.files.toml_file import read_toml
+from sensor_model.frame.measured import middle
 from sensor_model.mosaicking import channel_index
-from sensor_model.params import Sensor
 from simscenes.sets.pictures.image_file import read_frames as read_frames_of
 
 IMAGES = (".png", ".tif", ".tiff")
 # Notes and previews beside frames; files of other kinds may be frames.
 BESIDE = ("", ".txt", ".md", ".csv", ".json", ".toml", ".xml", ".yaml", ".yml", ".ini", ".log", ".xmp", ".pp3", ".jpg",
           ".jpeg", ".db", ".pdf", ".html")  # fmt: skip
+ISO_NAME = re.compile(r"iso[ _-]?([1-9]\d{0,8})", re.IGNORECASE)
 CHANNELS = 4  # most samples of a pixel
 NOTES = {"bits?": int, "cfa?": str, "camera?": dict, "stacks?": {"*": {"time?": float, "photons?": float}}}
 
@@ -52,77 +54,78 @@ class Frames:
     """Everything a folder holds."""
 
     dark: list[Stack]
-    flat: list[Stack]
+    flat: list[Stack]  # may be empty
+    iso: float | None  # by the folder's name, else by a file
     cfa: str  # "none": monochrome
     bits: int
     camera: dict[str, Any]  # fields that override measured ones
 
 
 @dataclass(frozen=True)
-class _CalibrationFrame:
+class CalibrationFrame:
+    """The codes of one file, and what it states of them."""
+
     dn: np.ndarray  # [n,h,w]
     time: float | None = None
     cfa: str | None = None
     bits: int | None = None
 
 
-def characterise_folder(folder: Path, *, window: int = 1024) -> tuple[Sensor, Characterisation]:
-    """Estimate a camera from its frames; for a mosaic, the green pixels give everything except the colours.
+def read_frames(folder: Path, window: int = 1024, notes_of: Path | None = None) -> Frames:
+    """Read the folder; every frame is cropped to the central `window` x `window` pixels.
 
     Args:
-        folder: As above.
-        window: Side of the central square of the sensor that is used, in pixels: bounds memory.
-
-    Raises:
-        ValueError: If the folder is not laid out as above, or does not hold enough.
-    """
-    frames = read_frames(folder, window)
-    if frames.cfa == "none":
-        found, colours = characterise(frames.dark, frames.flat), {}
-    else:
-        place = frames.cfa.index("G")
-        found = characterise(_plane(frames.dark, place), _plane(frames.flat, place))
-        colours = _colours(frames)
-    for name in ("eta", "mu_e_sat"):
-        if getattr(found, name) is None and name not in frames.camera:
-            why = "give the photons of every flat stack" if name == "eta" else "add a flat stack beyond saturation"
-            raise ValueError(f"{folder} does not determine {name}: {why}, or {name} under [camera] in frames.toml")
-    known = {name: frames.camera.get(name, getattr(found, name)) for name in ("eta", "mu_e_sat")}
-    with reading(folder / "frames.toml", "correct it"):
-        measured = asdict(found.sensor(bits=frames.bits, **known))
-        return sensor_from_dict(measured | {"cfa": frames.cfa} | colours | frames.camera), found
-
-
-def read_frames(folder: Path, window: int = 1024) -> Frames:
-    """Read the folder; every frame is cropped to the central `window` x `window` pixels.
+        folder: With dark/ and flat/.
+        window: In pixels.
+        notes_of: The folder of frames.toml; None: the same.
 
     Raises:
         ValueError: If it is not laid out as above, or a file cannot be read.
     """
-    notes = _notes(folder)
-    files: dict[str, list[_CalibrationFrame]] = {}
+    notes = _notes(notes_of or folder)
+    files: dict[str, list[CalibrationFrame]] = {}
     for kind in ("dark", "flat"):
-        folders = sorted(p for p in (folder / kind).iterdir() if p.is_dir()) if (folder / kind).is_dir() else []
-        if not folders:
-            raise ValueError(f"{folder} needs a folder {kind}/ with a folder for each stack of frames in it")
-        for place in folders:
-            files[f"{kind}/{place.name}"] = [_cut(_read(p), window) for p in _listed(place)]
+        for place in stacks_in(folder, kind):
+            files[f"{kind}/{place.name}"] = [cut(read_frame(p), (window, window)) for p in listed(place)]
     if unknown := sorted(set(notes["stacks"]) - set(files)):
-        raise ValueError(f"{folder / 'frames.toml'} names stacks that are not there: {', '.join(unknown)}")
+        raise ValueError(
+            f"{(notes_of or folder) / 'frames.toml'} names stacks that are not there: {', '.join(unknown)}"
+        )
     everything = [file for stack in files.values() for file in stack]
     stacks = {name: _stack(folder / name, stack, notes["stacks"].get(name, {})) for name, stack in files.items()}
+    named = ISO_NAME.fullmatch(folder.name)
     frames = Frames(
         dark=[stack for name, stack in stacks.items() if name.startswith("dark/")],
         flat=[stack for name, stack in stacks.items() if name.startswith("flat/")],
-        cfa=_agreed("cfa", notes["cfa"], [f.cfa for f in everything], folder, "none"),
-        bits=_agreed("bits", notes["bits"], [f.bits for f in everything], folder, None),
+        iso=float(named[1]) if named else stated_of(listed(stacks_in(folder, "dark")[0])[0])[1],
+        cfa=agreed("cfa", notes["cfa"], [f.cfa for f in everything], folder, "none"),
+        bits=agreed("bits", notes["bits"], [f.bits for f in everything], folder, None),
         camera=notes["camera"],
     )
     check_codes(stacks, frames.cfa, frames.bits, folder)
     return frames
 
 
-def _listed(place: Path) -> list[Path]:
+def stacks_in(folder: Path, kind: str) -> list[Path]:
+    """The folders of stacks, "dark" or "flat"; of the latter there may be none.
+
+    Raises:
+        ValueError: If there are none in the dark.
+    """
+    place = folder / kind
+    folders = sorted(p for p in place.iterdir() if p.is_dir()) if place.is_dir() else []
+    if not folders and (kind == "dark" or place.is_dir()):
+        raise ValueError(f"{folder} needs a folder {kind}/ with a folder for each stack of frames in it")
+    return folders
+
+
+def iso_folders(folder: Path) -> dict[float, Path]:
+    """The folders of single ISOs in a folder, by rising ISO: iso800, ISO_1600."""
+    found = [(match, path) for path in folder.iterdir() if path.is_dir() and (match := ISO_NAME.fullmatch(path.name))]
+    return dict(sorted((float(match[1]), path) for match, path in found))
+
+
+def listed(place: Path) -> list[Path]:
     """The frames of a folder, without hidden files, which archives made on a Mac have.
 
     Raises:
@@ -148,10 +151,15 @@ def _notes(folder: Path) -> dict[str, Any]:
     return notes | given
 
 
-def _read(path: Path) -> _CalibrationFrame:
+def read_frame(path: Path) -> CalibrationFrame:
+    """The codes of a file, and what it states of them.
+
+    Raises:
+        ValueError: If it cannot be read, or does not hold the codes of one channel.
+    """
     if is_raw(path):
         raw = read_mosaic(path)
-        return _CalibrationFrame(raw.dn[None], raw.time, raw.cfa or "none", raw.bits)
+        return CalibrationFrame(raw.dn[None], raw.time, raw.cfa or "none", raw.bits)
     time = None
     if path.suffix.lower() == ".npy":
         with reading(path, "replace or remove it"):
@@ -172,26 +180,25 @@ def _read(path: Path) -> _CalibrationFrame:
     if dn.shape[2] <= CHANNELS < dn.shape[1]:
         raise ValueError(f"{path} must hold frames as [n,h,w], got the shape {dn.shape}, whose last side may be "
                          "channels: save one channel, with frames first")  # fmt: skip
-    return _CalibrationFrame(dn, time)
+    return CalibrationFrame(dn, time)
 
 
-def _cut(file: _CalibrationFrame, window: int) -> _CalibrationFrame:
+def cut(file: CalibrationFrame, size: tuple[int, int]) -> CalibrationFrame:
     """The central part, from an even row and column on, so that the colour filter array keeps its phase."""
-    y, x = (max(0, (side - window) // 2) // 2 * 2 for side in file.dn.shape[1:])
-    return replace(file, dn=np.ascontiguousarray(file.dn[:, y : y + window, x : x + window]))
+    return replace(file, dn=np.ascontiguousarray(middle(file.dn, size)))
 
 
-def _stack(path: Path, files: list[_CalibrationFrame], note: dict[str, float]) -> Stack:
+def _stack(path: Path, files: list[CalibrationFrame], note: dict[str, float]) -> Stack:
     sizes = {file.dn.shape[1:] for file in files}
     if len(sizes) != 1:
         raise ValueError(f"{path} must hold frames of one size, got {sorted(sizes) or 'no frames'}")
     if unknown := sorted(set(note) - {"time", "photons"}):
         raise ValueError(f"frames.toml: stack {path.name} has unknown {', '.join(unknown)}; available: time, photons")
-    time = _agreed("exposure time", note.get("time"), [f.time for f in files], path, None)
+    time = agreed("exposure time", note.get("time"), [f.time for f in files], path, None)
     return Stack(np.concatenate([f.dn for f in files]), float(time), note.get("photons"))
 
 
-def _agreed(what: str, given: Any, found: list[Any], where: Path, default: Any) -> Any:
+def agreed(what: str, given: Any, found: list[Any], where: Path, default: Any) -> Any:
     """The value in frames.toml, else the value that all files state, else the default."""
     told = {value for value in found if value is not None}
     if given is None and len(told) > 1:
@@ -202,15 +209,15 @@ def _agreed(what: str, given: Any, found: list[Any], where: Path, default: Any) 
     return value
 
 
-def _plane(stacks: list[Stack], place: int) -> list[Stack]:
+def plane(stacks: list[Stack], place: int) -> list[Stack]:
     """One of the four kinds of pixels of a mosaic."""
     return [replace(s, frames=s.frames[:, place // 2 :: 2, place % 2 :: 2]) for s in stacks]
 
 
-def _colours(frames: Frames) -> dict[str, Any]:
+def colours(frames: Frames) -> dict[str, Any]:
     """Relative response of the filters to the flat light, and the error of each colour's black level."""
     kinds = channel_index((2, 2), frames.cfa).ravel()  # type: ignore[arg-type]  # there is a filter array here
-    black, bright = (np.array([[s.frames.mean() for s in _plane(stacks, i)] for i in range(4)])
+    black, bright = (np.array([[s.frames.mean() for s in plane(stacks, i)] for i in range(4)])
                      for stacks in (frames.dark, frames.flat))  # fmt: skip
     rise, level = np.polyfit([s.time for s in frames.dark], black.T, 1)
     signal = bright - level[:, None] - rise[:, None] * [s.time for s in frames.flat]

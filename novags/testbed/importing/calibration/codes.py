@@ -61,7 +61,7 @@ def check_codes(stacks: Mapping[str, Stack], cfa: str, bits: int, folder: Path) 
         if (held := 8 * stack.frames.dtype.itemsize) < bits:
             raise ValueError(f"frames of {folder / name} hold {held} bits, and {bits} are stated: the lowest were "
                              f"probably cut off; give the frames with all of them, or bits = {held}")  # fmt: skip
-        if name.startswith("flat/") and (first := _first_copy(stack.frames)) is not None:
+        if name.startswith("flat/") and (first := first_copy(stack.frames)) is not None:
             raise ValueError(f"frames {first[0] + 1} and {first[1] + 1} of {folder / name} are the same, and light "
                              "never is: remove the copies, which would count as frames without noise")  # fmt: skip
     darkest = max(_in_two_codes(stack.frames[0]) for name, stack in stacks.items() if name.startswith("dark/"))
@@ -80,7 +80,7 @@ def _in_two_codes(frame: np.ndarray) -> float:
     return float(np.sort(np.unique(frame, return_counts=True)[1])[-2:].sum() / frame.size)
 
 
-def _first_copy(frames: np.ndarray) -> tuple[int, int] | None:
+def first_copy(frames: np.ndarray) -> tuple[int, int] | None:
     """The first two frames of the same codes, which are not all one code, as where light is beyond saturation."""
     known: dict[bytes, int] = {}
     for i, frame in enumerate(frames):
