@@ -1,4 +1,4 @@
-"""Capture: photograph a multiview set in the dark, one exposure per view, view by view."""
+"""Capture: photograph a multiview set in the dark, one exposure or burst per view, view by view."""
 
 import math
 import os
@@ -20,9 +20,10 @@ from novags.testbed.stages.configs.capturing import CaptureConfig
 from novags.testbed.stages.layouts import LAYOUTS, check_source_of, truth_of, write_layouts
 from novags.testbed.stages.paths import keep_apart
 from novags.warm import compile_ahead
-from sensor_model.capture import RawFrame, clean_response, expose
+from sensor_model.capture import RawFrame, clean_response, expose_burst, mean_of
 from sensor_model.files.dng import SMALLEST
 from sensor_model.files.lock import locked
+from sensor_model.frame.uneven import EVEN, Uneven, draw_uneven
 from sensor_model.mosaicking import mosaic
 from sensor_model.params import Exposure, Sensor
 from sensor_model.plan import Plan
@@ -67,6 +68,8 @@ def capture(
     keep_apart(out, set_path)
     source = open_source(set_path, console, config.max_size)
     check_source_of(config.export, source)
+    if config.bracket and len(source.views) < 2:
+        raise ValueError(f"bracket interleaves two exposures: it needs 2 views or more, and {source.title} has 1")
     if min(source.rig.width, source.rig.height) < SMALLEST:
         said = (
             f"images of {source.rig.width} x {source.rig.height} px make raw files that LibRaw refuses: it takes "
@@ -103,11 +106,12 @@ def camera_for(source: Source, config: CaptureConfig) -> Sensor:
 
 @dataclass(frozen=True)
 class Light:
-    """The data that all views of a capture share, because they share one exposure."""
+    """The data that all views of a capture share, because one exposure is common to them."""
 
     mean_green: float  # radiance over the set
     signal_e: np.ndarray  # `QUANTILES` of the charge in the sensor's channels, e-
     plan: Plan | None  # which effects to simulate; None: all of them
+    uneven: Uneven = EVEN  # how single views differ
 
 
 def look_and_meter(source: Source, config: CaptureConfig, console: Console) -> Light:
@@ -131,8 +135,9 @@ def meter(source: Source, config: CaptureConfig, console: Console, pixels: int |
         ValueError: If the set is black or holds bad radiance.
     """
     sensor = camera_for(source, config)
+    uneven = uneven_of(sensor, len(source.views), config)
     with console.progress("capture: light") as progress:
-        mean_green, signal = measure_light(source, sensor, progress)
+        mean_green, signal = measure_light(source, sensor, progress, uneven)
     signal_e = signal * config.electrons / mean_green
     if (median := signal_e[QUANTILES.index(0.5)]) >= sensor.capacity_e:
         console.warn(
@@ -140,8 +145,30 @@ def meter(source: Source, config: CaptureConfig, console: Console, pixels: int |
             f"and {config.sensor_name} saturates at {sensor.capacity_e:.3g} e-; take fewer electrons"
         )
     if (limits := config.limits(pixels or source.rig.width * source.rig.height)) is None:
-        return Light(mean_green, signal_e, None)
-    return Light(mean_green, signal_e, plan_effects(sensor, config.exposure, signal_e, limits))
+        return Light(mean_green, signal_e, None, uneven)
+    longest = lengthened(config.exposure, max(uneven.exposures, default=1.0))
+    return Light(mean_green, signal_e, plan_effects(sensor, longest, signal_e, limits), uneven)
+
+
+def uneven_of(sensor: Sensor, views: int, config: CaptureConfig) -> Uneven:
+    """How the views differ."""
+    if not config.uneven:
+        return EVEN
+    return draw_uneven(
+        sensor, views, seed=config.noise_seed, exposure_spread=config.exposure_spread,
+        white_balance_spread=config.white_balance_spread, bracket=config.bracket,
+    )  # fmt: skip
+
+
+def stated(uneven: Uneven) -> list[dict[str, Any]]:
+    """What other programs are told of each view, in transforms.json: its pictures over those of the common exposure."""
+    pairs = zip(uneven.exposures, uneven.balances, strict=True)
+    return [{"exposure_factor": time, "white_balance_factors": list(balance)} for time, balance in pairs]
+
+
+def lengthened(exposure: Exposure, factor: float) -> Exposure:
+    """The same with so many times its time."""
+    return replace(exposure, time=exposure.time * factor)
 
 
 def capture_views(
@@ -155,7 +182,7 @@ def capture_views(
     Raises:
         ValueError: If the set holds bad radiance.
     """
-    sensor, exposure, plan = camera_for(source, config), config.exposure, light.plan
+    sensor, exposure, plan, uneven = camera_for(source, config), config.exposure, light.plan, light.uneven
     names = source.views.names
     compile_ahead("camera", console.note)
     with console.progress("capture") as progress:
@@ -163,16 +190,25 @@ def capture_views(
             if not has_view(folder, name):
                 frame, clean = expose_with_truth(
                     source.radiance(i), sensor, exposure, electrons=config.electrons, mean_green=light.mean_green,
-                    seed=config.noise_seed, view=i, plan=plan,
+                    seed=config.noise_seed, view=i, plan=plan, times=uneven.times(i),
+                    frames=config.burst,
                 )  # fmt: skip
-                matrix = source.color_matrix
                 write_view(
-                    folder, name, frame, sensor, exposure, config.demosaic, matrix, config.jpeg_quality, clean_rgb=clean
+                    folder,
+                    name,
+                    frame,
+                    sensor,
+                    config.demosaic,
+                    source.color_matrix,
+                    config.jpeg_quality,
+                    clean_rgb=clean,
+                    seen_by=uneven.seen_by(sensor, i),
                 )
             progress(i + 1, len(names), f"view {name}")
     write_cameras(
-        folder, names, source.rig, points=source.points(), held_out=source.views.test_indices, scene=source.views.scene
-    )
+        folder, names, source.rig, points=source.points(), held_out=source.views.test_indices,
+        scene=source.views.scene, facts=stated(uneven),
+    )  # fmt: skip
     return {
         "set": {
             "path": recorded_place(folder, source.views.path),
@@ -185,6 +221,8 @@ def capture_views(
         "sensor_name": config.sensor_name,
         "sensor": sensor,
         "exposure": exposure,
+        **({} if config.burst == 1 else {"burst": config.burst}),
+        **({"uneven": {"exposures": uneven.exposures, "balances": uneven.balances}} if uneven.exposures else {}),
         "electrons": config.electrons,
         "mean_green_radiance": light.mean_green,
         "signal_quantiles_e": dict(zip(map(str, QUANTILES), light.signal_e.tolist(), strict=True)),
@@ -203,22 +241,36 @@ def capture_views(
 
 def expose_view(
     radiance: np.ndarray, sensor: Sensor, exposure: Exposure, *, electrons: float, mean_green: float, seed: int,
-    view: int, plan: Plan | None = None,
+    view: int, plan: Plan | None = None, times: float = 1.0, frames: int = 1,
 ) -> RawFrame:  # fmt: skip
     """One exposure of linear RGB [h,w,3], scaled so that green of `mean_green` gives so many electrons.
+
+    Args:
+        radiance: The light.
+        sensor: The camera.
+        exposure: How it is used; common to all views.
+        electrons: Of the common exposure.
+        mean_green: Light that gives them.
+        seed: Of the noise.
+        view: Which.
+        plan: As for `expose`.
+        times: The exposure of this view over the common one.
+        frames: Of a burst, whose mean it is.
 
     Raises:
         ValueError: If the light or a number is out of range.
     """
-    photons = photons_for_electrons(radiance, electrons=electrons, mean_green=mean_green, sensor=sensor)
+    photons = photons_for_electrons(radiance, electrons=times * electrons, mean_green=mean_green, sensor=sensor)
     seen = mosaic(photons, sensor.cfa) if sensor.cfa else photons
-    return expose(seen, sensor, exposure, seed=seed, view=view, plan=plan)
+    used = lengthened(exposure, times)
+    burst = expose_burst(seen, sensor, used, frames=frames, seed=seed, view=view, plan=plan)
+    return replace(mean_of(burst), times=times)
 
 
 def expose_with_truth(
     radiance: np.ndarray, sensor: Sensor, exposure: Exposure, *, electrons: float, mean_green: float, **how: Any
 ) -> tuple[RawFrame, np.ndarray | None]:
-    """One exposure as `expose_view` takes it; for a mosaic also the signal of its three channels without noise.
+    """One exposure as `expose_view` takes it; for a mosaic also the common signal of its three channels without noise.
 
     Returns:
         The frame; and DN [h,w,3] as from three chips of the same camera, without the effects that the plan leaves out.
@@ -237,8 +289,14 @@ def files_of(source: Source) -> dict[str, str]:
     return {name: os.path.relpath(file, views.path) for name, file in zip(views.names, views.files, strict=True)}
 
 
-def measure_light(source: Source, sensor: Sensor, progress: Update) -> tuple[float, np.ndarray]:
+def measure_light(source: Source, sensor: Sensor, progress: Update, uneven: Uneven = EVEN) -> tuple[float, np.ndarray]:
     """Mean green radiance over the set, and `QUANTILES` of the light on the sensor's channels, in the same unit.
+
+    Args:
+        source: The set.
+        sensor: The camera.
+        progress: Told of each view.
+        uneven: Exposures of the views; they count in the quantiles.
 
     Raises:
         ValueError: If every view is black in green.
@@ -249,7 +307,7 @@ def measure_light(source: Source, sensor: Sensor, progress: Update) -> tuple[flo
     for i in range(count):
         radiance = source.radiance(i)
         total += float(radiance[..., 1].mean(dtype=np.float64)) / count
-        seen = radiance * np.asarray(sensor.rgb_response, np.float32)
+        seen = radiance * np.asarray(sensor.rgb_response, np.float32) * np.float32(uneven.times(i))
         samples.append(some_pixels(seen, kept))
         least, most = min(least, float(seen.min())), max(most, float(seen.max()))
         progress(i + 1, count, f"view {source.views.names[i]}")
