@@ -272,7 +272,7 @@ def source_of(views: MultiviewSet, console: Console, max_size: int | None = None
     path = views.path
     if (path / "capture.json").is_file() and "uneven" in read_json(path / "capture.json"):
         raise ValueError(f"the views of {path} differ in exposure or white balance: as a set or as photographs they "
-                         "would show one surface in several brightnesses; take a capture whose views are alike")  # fmt: skip
+                         "would show one surface in several brightnesses; use a capture of like views")  # fmt: skip
     if views.renamed and views.kind == "photographs" and not (path / "capture.json").is_file():
         name, file = next(iter(views.renamed.items()))
         console.warn(f"{len(views.renamed)} of {len(views)} files and their views cannot have one name ({file!r}: view "

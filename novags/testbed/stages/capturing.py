@@ -160,12 +160,6 @@ def uneven_of(sensor: Sensor, views: int, config: CaptureConfig) -> Uneven:
     )  # fmt: skip
 
 
-def stated(uneven: Uneven) -> list[dict[str, Any]]:
-    """What other programs are told of each view, in transforms.json: its pictures over those of the common exposure."""
-    pairs = zip(uneven.exposures, uneven.balances, strict=True)
-    return [{"exposure_factor": time, "white_balance_factors": list(balance)} for time, balance in pairs]
-
-
 def lengthened(exposure: Exposure, factor: float) -> Exposure:
     """The same with so many times its time."""
     return replace(exposure, time=exposure.time * factor)
@@ -206,9 +200,8 @@ def capture_views(
                 )
             progress(i + 1, len(names), f"view {name}")
     write_cameras(
-        folder, names, source.rig, points=source.points(), held_out=source.views.test_indices,
-        scene=source.views.scene, facts=stated(uneven),
-    )  # fmt: skip
+        folder, names, source.rig, points=source.points(), held_out=source.views.test_indices, scene=source.views.scene
+    )
     return {
         "set": {
             "path": recorded_place(folder, source.views.path),

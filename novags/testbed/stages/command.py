@@ -26,8 +26,8 @@ from simscenes.sets.pictures.png import write_png
 from simscenes.sets.writers.camera_files import CAMERA_FILES
 
 SHOWN = (RECORD, "images", "images16", "raw", *CAMERA_FILES)  # of a capture: all but the truth and lit twins
-UNEVEN = ("views of this capture differ in exposure or white balance, and the program gets them as taken: each frame of"
-          " transforms.json states its factors; pictures are scored at the common exposure")  # fmt: skip
+UNEVEN = ("views of this capture differ in exposure or white balance, and the program gets them as taken: `uneven` of"
+          " capture.json has the factors of each view; pictures are scored at the common exposure")  # fmt: skip
 WORK = ".work"  # of a run under way: hidden, so that it is part of no digest
 
 

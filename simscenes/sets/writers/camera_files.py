@@ -43,7 +43,6 @@ def write_cameras(
     held_out: Sequence[int] | None = None,
     depth_dir: str | None = None,
     scene: str | None = None,
-    facts: Sequence[dict[str, Any]] = (),
 ) -> None:
     """Write transforms.json, sparse/0/*.bin, points3D.ply, a list of files for each split, and nb-info.json.
 
@@ -57,7 +56,6 @@ def write_cameras(
         held_out: Places of the views for testing; None: every 8th, from 0.
         depth_dir: Folder of the depth images of all views, relative to `folder`; None if the set has no depth.
         scene: The scene's name.
-        facts: Further entries of each frame of transforms.json.
 
     Raises:
         ValueError: If names are not safe, different and sorted, or do not match the rig.
@@ -72,8 +70,6 @@ def write_cameras(
     _write_colmap(folder / "sparse" / "0", files, rig, points)
     transforms = _transforms(rig, files, train, test, depth_dir)
     xyz = np.zeros((0, 3)) if points is None else points.xyz
-    for frame, more in zip(transforms["frames"], facts, strict=bool(facts)):
-        frame |= more
     transforms |= instant_ngp_box(rig.positions, xyz)
     if points is not None and len(points):
         write_points(folder / POINTS, points.xyz, points.rgb)
