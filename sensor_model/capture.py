@@ -14,8 +14,7 @@ from sensor_model import effects
 from sensor_model.frame import own, streams
 from sensor_model.frame.prepare import Prepared, as_channels, checked, on_sensor, prepare
 from sensor_model.moments import frame_moments
-from sensor_model.noise import ROUNDING
-from sensor_model.params import Exposure, Sensor, require
+from sensor_model.params import ROUNDING, Exposure, Sensor, require
 from sensor_model.plan import Plan
 from sensor_model.planner import simplify
 from sensor_model.radiometry import check_light

@@ -26,11 +26,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from sensor_model.frame import own
 from sensor_model.isp import DEMOSAIC, LINEAR16_BLACK, Demosaic, white_balance
-from sensor_model.params import Exposure, Sensor, require
+from sensor_model.params import ROUNDING, Exposure, Sensor, require
 from sensor_model.plan import Plan
 from sensor_model.planner import simplify
-
-ROUNDING = 1 / 12  # variance of rounding to whole codes, DN**2
 
 Channels = tuple[float, ...]  # one number per channel: red, green, blue; or one for a monochrome sensor
 

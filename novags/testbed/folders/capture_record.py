@@ -125,7 +125,7 @@ class CaptureRecord:
         """How views were taken, if not one exposure each and all alike; in words for a title."""
         times = self.uneven.exposures
         found = [f"bursts of {self.burst}"] if self.burst > 1 else []
-        found += [f"exposures {min(times):.3g} to {max(times):.3g} times it"] if set(times) - {1.0} else []
+        found += [f"exposed {min(times):.3g} to {max(times):.3g} times as long"] if set(times) - {1.0} else []
         even = set(self.uneven.balances) <= {(1.0, 1.0, 1.0)}
         return ", ".join([*found, *([] if even else ["white balance by view"])])
 

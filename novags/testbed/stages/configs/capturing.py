@@ -32,6 +32,7 @@ LONGEST_BURST = 1000  # frames
 STOPS, MIRED = 10.0, 300.0  # the largest spreads: a thousandfold exposure, tungsten taken for blue sky
 
 
+# Settings under which a view is one exposure, and all views are alike.
 AS_ONE: dict[str, float] = {"burst": 1, "exposure_spread": 0.0, "white_balance_spread": 0.0, "bracket": 0.0}
 
 
@@ -102,7 +103,7 @@ class CaptureConfig:
 
     def resolved(self) -> dict[str, Any]:
         """The settings that determine the pictures: the camera itself, neither the path of its file nor further
-        layouts; of what makes views differ what is asked for alone.
+        layouts. Settings of `AS_ONE` are among them where they change something.
         """
         kept = {name: value for name, value in asdict(self).items()
                 if name != "export" and AS_ONE.get(name) != value}  # fmt: skip

@@ -221,6 +221,6 @@ def test_a_record_with_impossible_factors_is_refused(change: dict[str, Any], fol
 
 def test_a_report_titles_how_views_were_taken(folder: Path) -> None:
     found = open_capture(folder / "all").record.variety
-    assert found.startswith("bursts of 2, exposures 0.")
-    assert found.endswith("times it, white balance by view")
+    assert found.startswith("bursts of 2, exposed 0.")
+    assert found.endswith("times as long, white balance by view")
     assert open_capture(folder / "even").record.variety == ""
