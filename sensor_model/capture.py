@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal, get_args
 
@@ -14,7 +15,7 @@ from sensor_model.frame import own, streams
 from sensor_model.frame.measured import Measured
 from sensor_model.frame.prepare import Prepared, as_channels, checked, on_sensor, prepare
 from sensor_model.moments import frame_moments
-from sensor_model.params import Exposure, Sensor, require
+from sensor_model.params import ROUNDING, Exposure, Sensor, require
 from sensor_model.plan import Plan
 from sensor_model.planner import simplify
 from sensor_model.radiometry import check_light
@@ -30,18 +31,22 @@ class RawFrame:
     """Digital numbers of one exposure; the analytic maps are computed when first asked for."""
 
     dn: NDArray[np.uint16]  # [h, w] or [h, w, 3]
-    saturated: NDArray[np.bool_]  # this exposure reached the full well or the top of the ADC here
+    saturated: NDArray[np.bool_]  # this exposure, or one of a burst, reached the full well or the top of the ADC here
     photons: NDArray  # the light that was exposed
     sensor: Sensor  # as simulated: without effects that the plan left out
     exposure: Exposure
     shot: Shot = "poisson"
     measured: Measured | None = None
+    frames: int = 1  # that `dn` is the rounded mean of
+    times: float = 1.0  # its exposure over one that is common to several views
 
     @cached_property
     def _moments(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         draws = streams.Draws(seed=0, origin=self.exposure.origin)
         inputs = prepare(self.photons, self.sensor, self.exposure, draws, noise=False, measured=self.measured)
         mean, variance = frame_moments(inputs, self.shot)
+        if self.frames > 1:
+            variance = variance / self.frames + ROUNDING
         shape = self.photons.shape
         return mean.reshape(shape).astype(np.float32), variance.reshape(shape).astype(np.float32)
 
@@ -52,13 +57,14 @@ class RawFrame:
 
     @property
     def variance_dn(self) -> NDArray[np.float32]:
-        """Temporal variance of each pixel, clipping and rounding included. DN**2."""
+        """Temporal variance of each pixel, clipping and rounding included; of a burst, of its mean. DN**2."""
         return self._moments[1]
 
     @cached_property
     def clean_dn(self) -> NDArray[np.float32]:
-        """The response to the same light without noise and fixed pattern; saturates, is not rounded. DN."""
-        return clean_response(self.photons, self.sensor, self.exposure)
+        """The common exposure of the same light without noise and fixed pattern; saturates, is not rounded. DN."""
+        common = replace(self.exposure, time=self.exposure.time / self.times)
+        return clean_response(self.photons / self.times, self.sensor, common)
 
 
 def clean_response(photons: ArrayLike, sensor: Sensor, exposure: Exposure) -> NDArray[np.float32]:
@@ -166,6 +172,18 @@ def expose_burst(photons: ArrayLike, sensor: Sensor, exposure: Exposure, *, fram
     moving = light.ndim == 4 or (light.ndim == 3 and (sensor.cfa is not None or light.shape[2] != 3))
     require(not moving or light.shape[0] == frames, "photons", f"one light or {frames}", light.shape)
     return [expose(light[i] if moving else light, sensor, exposure, frame=i, **how) for i in range(frames)]
+
+
+def mean_of(burst: Sequence[RawFrame]) -> RawFrame:
+    """The mean of the frames of a burst, rounded to whole codes; one frame is itself.
+
+    Temporal noise shrinks with the root of their number. The fixed pattern, which they share, stays.
+    """
+    if len(burst) == 1:
+        return burst[0]
+    dn = np.rint(sum(frame.dn.astype(np.float64) for frame in burst) / len(burst)).astype(np.uint16)
+    saturated = np.logical_or.reduce([frame.saturated for frame in burst])
+    return replace(burst[0], dn=dn, saturated=saturated, frames=len(burst))
 
 
 def collect_charge(inputs: Prepared, shot: Shot) -> Array:

@@ -19,13 +19,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from math import inf, nan
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sensor_model.frame import own
 from sensor_model.isp import DEMOSAIC, LINEAR16_BLACK, Demosaic, white_balance
-from sensor_model.params import Exposure, Sensor, require
+from sensor_model.params import ROUNDING, Exposure, Sensor, require
 from sensor_model.plan import Plan
 from sensor_model.planner import simplify
 
@@ -103,8 +104,9 @@ class NoiseCurve:
 
 
 def raw_noise(
-    sensor: Sensor, exposure: Exposure, *, channels: int = 3, plan: Plan | None = None, fixed_pattern: bool = True
-) -> NoiseCurve:
+    sensor: Sensor, exposure: Exposure, *, channels: int = 3, plan: Plan | None = None, fixed_pattern: bool = True,
+    frames: int = 1,
+) -> NoiseCurve:  # fmt: skip
     """The noise of raw codes, DN.
 
     Args:
@@ -114,12 +116,17 @@ def raw_noise(
         plan: The plan of `expose`, with the effects it left out; None: nothing.
         fixed_pattern: Whether the offsets and responses of single pixels (DSNU, PRNU) count as noise: True for the
             distance of a datum from an even camera's, False for the spread over frames of one view.
+        frames: Of a burst, whose rounded mean the codes are.
 
     Raises:
         ValueError: if `channels` does not fit the sensor.
     """
     fits = channels == 3 or (channels == 1 and sensor.cfa is None)
     require(fits, "channels", "3, or 1 without colour filter array", channels)
+    if frames > 1:
+        how: dict[str, Any] = {"channels": channels, "plan": plan}
+        whole = raw_noise(sensor, exposure, fixed_pattern=fixed_pattern, **how)
+        return _averaged(whole, raw_noise(sensor, exposure, fixed_pattern=False, **how), frames)
     s = simplify(sensor, plan)
     shot = plan is None or plan.is_on("photon_shot")
     blur = (1 - 4 * s.coupling) ** 2 + 4 * s.coupling**2  # coupling averages the charges of five pixels
@@ -151,10 +158,23 @@ def raw_noise(
     )
 
 
+def _averaged(whole: NoiseCurve, temporal: NoiseCurve, frames: int) -> NoiseCurve:
+    """The noise of the rounded mean of a burst: of `whole`, the part that is `temporal` shrinks."""
+
+    def shrunk(name: str, more: float = 0.0) -> Channels:
+        pairs = zip(getattr(whole, name), getattr(temporal, name), strict=True)
+        return tuple(all_of_it - part * (1 - 1 / frames) + more for all_of_it, part in pairs)
+
+    return replace(
+        whole, offset=shrunk("offset", ROUNDING), slope=shrunk("slope"), quadratic=shrunk("quadratic"),
+        step=shrunk("step"),
+    )  # fmt: skip
+
+
 def _rounding(s: Sensor, lines: float) -> float:
     """1/12 DN**2; nothing where whole electrons are whole codes and no other noise comes between."""
     silent = s.sigma_d == 0 and lines == 0 and s.dsnu == 0 and s.droop == 0 and s.coupling == 0 and not s.effects
-    return 0.0 if silent and s.gain % 1 == 0 and s.black_level % 1 == 0 else 1 / 12
+    return 0.0 if silent and s.gain % 1 == 0 and s.black_level % 1 == 0 else ROUNDING
 
 
 def linear_noise(
@@ -167,6 +187,7 @@ def linear_noise(
     digital_gain: float = 1.0,
     plan: Plan | None = None,
     fixed_pattern: bool = True,
+    frames: int = 1,
 ) -> NoiseCurve:
     """The noise of `linear16` pictures as `from_linear16` reads them: black at 0, white at 1, not clipped at black.
 
@@ -187,13 +208,14 @@ def linear_noise(
         digital_gain: As in `develop`.
         plan: As in `raw_noise`.
         fixed_pattern: As in `raw_noise`.
+        frames: As in `raw_noise`.
 
     Raises:
         ValueError: if an option is out of range or does not fit the sensor.
     """
     require(demosaic in DEMOSAIC, "demosaic", f"one of {DEMOSAIC}", demosaic)
     require(digital_gain > 0, "digital_gain", "> 0", digital_gain)
-    raw = raw_noise(sensor, exposure, channels=channels, plan=plan, fixed_pattern=fixed_pattern)
+    raw = raw_noise(sensor, exposure, channels=channels, plan=plan, fixed_pattern=fixed_pattern, frames=frames)
     halves = sensor.cfa is not None and demosaic == "half"
     balance = white_balance(sensor) if channels == 3 else np.ones(1)
     gain = balance * (digital_gain if color_matrix is None else 1.0) / (sensor.white_dn - sensor.black_level)

@@ -15,6 +15,9 @@ Cfa = Literal["RGGB", "GRBG", "GBRG", "BGGR"]
 CFAS: tuple[Cfa, ...] = ("RGGB", "GRBG", "GBRG", "BGGR")
 
 
+ROUNDING = 1 / 12  # variance of rounding to whole codes, DN**2
+
+
 LARGEST = 1e15  # of any amplitude or factor: far beyond sensors, and its square is still exact enough in float64
 
 

@@ -130,7 +130,8 @@ def capture(
     set: Folder, *, out: Path, level: str | None = None, sensor: str | None = None, electrons: float | None = None,
     time: float = 1 / 30,
     max_size: int | None = None, demosaic: Literal["menon", "malvar", "bilinear"] = "menon",
-    jpeg_quality: int | None = None, tolerance: float | None = 0.05, dark_frames: Path | None = None,
+    jpeg_quality: int | None = None, tolerance: float | None = 0.05, dark_frames: Path | None = None, burst: int = 1,
+    exposure_spread: float = 0.0, white_balance_spread: float = 0.0, bracket: float = 0.0,
     export: tuple[Literal["blender", "llff"], ...] = (), seed: int = 0, overwrite: bool = False, wait: bool = False,
     dry_run: bool = False,
 ) -> None:  # fmt: skip
@@ -154,6 +155,10 @@ def capture(
         tolerance: Leave out effects that change the noise by less than this share; None simulates all.
         dark_frames: Folder of dark frames of this camera (raw files, 16-bit PNG or TIFF, npy), or of isoN/ folders of
             them: each view draws one, in place of read noise, rows, banding, dark current, offsets and hot pixels.
+        burst: Frames of each view, whose mean is its picture.
+        exposure_spread: Stops by which the exposure time of a view differs at most, as an automatic exposure would.
+        white_balance_spread: Mired by which the white balance of a view's pictures errs at most; its raw file has none.
+        bracket: Stops by which every second view is exposed longer.
         export: Further layouts of the capture to write, each into a folder of its own in it.
         seed: Of the noise.
         overwrite: Replace a finished result of another request in the same folder.
@@ -170,7 +175,9 @@ def capture(
     config = CaptureConfig(
         sensor=named.sensor if sensor is None else sensor,
         electrons=named.electrons if electrons is None else electrons, time=time, max_size=max_size, demosaic=demosaic,
-        jpeg_quality=jpeg_quality, tolerance=tolerance, dark_frames=dark_frames, export=export, seed=seed,
+        jpeg_quality=jpeg_quality, tolerance=tolerance, dark_frames=dark_frames, burst=burst,
+        exposure_spread=exposure_spread, white_balance_spread=white_balance_spread, bracket=bracket, export=export,
+        seed=seed,
     )  # fmt: skip
     with writing(out, wait, dry_run=dry_run) as console:
         with dry(dry_run):

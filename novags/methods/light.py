@@ -7,11 +7,11 @@ import torch
 from torch import Tensor
 
 from novags.methods.inputs import LacksInput
-from novags.methods.noise import Noise, Variance
+from novags.methods.noise import Noise, Variance, over
 from novags.methods.problem import Problem, RawPictures, Start, gathered
 from sensor_model.isp import srgb_to_linear
 from sensor_model.mosaicking import channel_index
-from sensor_model.noise import Bend, NoiseCurve
+from sensor_model.noise import NoiseCurve
 
 BRIGHT = 0.99  # quantile of the green data that becomes a colour of 1
 
@@ -75,7 +75,7 @@ def measured_light(
     if curve.matrix is not None:
         zero = linear16.new_tensor(curve.matrix) @ zero
     white = linear16.new_tensor(curve.white).clamp_max(1.0) - zero  # the files end at 1, for any balance
-    curve = _scaled(curve, [1.0] * 3) if curve.matrix is None else _of_grey(noise.linear16, zero)
+    curve = over(curve, [1.0] * 3, curve.black) if curve.matrix is None else _of_grey(noise.linear16, zero)
     return MeasuredLight(light=linear16 - zero, noise=Variance(curve), white=white, matrix=None, shared=shared)
 
 
@@ -105,20 +105,7 @@ def _of_raw(raw: RawPictures, curve: NoiseCurve) -> tuple[Tensor, NoiseCurve, Te
         lights = (torch.where(seen, light, torch.nan) for light in lights)
     light = gathered(lights, dn.new_empty(dn.shape))
     zero = (dn.new_tensor(curve.black) - raw.black) / dn.new_tensor(unit)
-    return light, _scaled(curve, unit), zero
-
-
-def _scaled(curve: NoiseCurve, unit: list[float]) -> NoiseCurve:
-    """The noise of (datum - black) / unit."""
-
-    def each(values: tuple[float, ...], power: int, shift: tuple[float, ...] = (0.0,) * 3) -> tuple[float, ...]:
-        return tuple((value - s) / u**power for value, s, u in zip(values, shift, unit, strict=True))
-
-    return replace(
-        curve, black=(0.0,) * 3, white=each(curve.white, 1, curve.black), switch=each(curve.switch, 1, curve.black),
-        offset=each(curve.offset, 2), slope=each(curve.slope, 1), step=each(curve.step, 2),
-        bend=curve.bend and Bend(factor=each(curve.bend.factor, -1), offset=each(curve.bend.offset, 2)),
-    )  # fmt: skip
+    return light, over(curve, unit, curve.black), zero
 
 
 def _of_grey(variance: Variance, zero: Tensor) -> NoiseCurve:

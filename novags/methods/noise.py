@@ -1,13 +1,14 @@
 """The variance of each datum as a function of its mean, from the camera; `noise_estimate` has it from the pictures."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import torch
 from torch import Tensor
 
 from sensor_model.isp import Demosaic
-from sensor_model.noise import NoiseCurve, linear_noise, raw_noise
+from sensor_model.noise import Bend, NoiseCurve, linear_noise, raw_noise
 from sensor_model.params import Exposure, Sensor
 
 
@@ -63,10 +64,33 @@ class Noise:
     raw: Variance | None
     origin: Literal["camera", "pictures"]
 
+    def at(self, exposure: float) -> "Noise":
+        """That of a view that was exposed so many times as long, and whose pictures were divided by that.
+
+        White balance does not count: it scales light and noise alike, and is divided out of both.
+        """
+        if exposure == 1:
+            return self
+        return replace(self, linear16=Variance(over(self.linear16.curve, [exposure] * 3, (0.0,) * 3)), raw=None)
+
+
+def over(curve: NoiseCurve, unit: Sequence[float], zero: Sequence[float]) -> NoiseCurve:
+    """The noise of (datum - zero) / unit, for each channel; behind a matrix all channels have one unit, and zero 0."""
+
+    def each(values: tuple[float, ...], power: int, shift: Sequence[float] = (0.0,) * 3) -> tuple[float, ...]:
+        return tuple((value - s) / u**power for value, s, u in zip(values, shift, unit, strict=True))
+
+    return replace(
+        curve, black=each(curve.black, 1, zero), white=each(curve.white, 1, zero), switch=each(curve.switch, 1, zero),
+        offset=each(curve.offset, 2), slope=each(curve.slope, 1), step=each(curve.step, 2),
+        bend=curve.bend and Bend(factor=each(curve.bend.factor, -1), offset=each(curve.bend.offset, 2)),
+        rounding=curve.rounding / unit[0] ** 2,
+    )  # fmt: skip
+
 
 def camera_noise(
-    sensor: Sensor, exposure: Exposure, *, demosaic: Demosaic, color_matrix: list[list[float]] | None
+    sensor: Sensor, exposure: Exposure, *, demosaic: Demosaic, color_matrix: list[list[float]] | None, frames: int = 1
 ) -> Noise:
-    """The noise of a known camera, fixed pattern included."""
-    linear = linear_noise(sensor, exposure, demosaic=demosaic, color_matrix=color_matrix)
-    return Noise(Variance(linear), Variance(raw_noise(sensor, exposure)), "camera")
+    """The noise of a known camera, fixed pattern included; of a burst of so many `frames`, of its mean."""
+    linear = linear_noise(sensor, exposure, demosaic=demosaic, color_matrix=color_matrix, frames=frames)
+    return Noise(Variance(linear), Variance(raw_noise(sensor, exposure, frames=frames)), "camera")

@@ -17,7 +17,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from novags.methods.noise import Noise, Variance
-from novags.methods.problem import Problem, RawPictures
+from novags.methods.problem import Problem, RawPictures, refuse_uneven
 from sensor_model.isp import srgb_to_linear
 from sensor_model.noise import NoiseCurve
 
@@ -62,12 +62,14 @@ def noise_of(problem: Problem, source: Literal["camera", "pictures"] = "camera")
         source: "camera": by the camera where it is known, else from the pictures; "pictures": from them in any case.
 
     Raises:
+        LacksInput: For an estimate of views of several exposures.
         ValueError: For pictures that are too small to tell.
     """
     if source not in ("camera", "pictures"):
         raise ValueError(f"source must be camera or pictures, got {source!r}")
     if source == "camera" and problem.noise is not None:
         return problem.noise
+    refuse_uneven(problem.exposures, "an estimate of the noise")
     mixed = "a colour matrix" in problem.channels_share
     key = ("noise from pictures", problem.names)
     return problem.once(key, lambda: noise_from(problem.srgb8, problem.linear16, problem.raw, mixed=mixed))

@@ -117,7 +117,9 @@ class Problem:
             None without them. May be given as a function (`WhenUsed`).
         raw: The raw frames, or None.
         noise: Variance of each datum as a function of its mean: from the camera where it is known, else estimated from
-            the pictures (`noise_estimate.noise_of` chooses); None if neither is possible.
+            the pictures (`noise_estimate.noise_of` chooses); None if neither is possible. Of one view: `noise_at`.
+        exposures: Of each view, times the exposure that `noise` is of; empty: all have that one. The pictures are
+            even already: divided by these factors, and of one white balance.
         channels_share: Why the noise of a pixel's three channels is not independent ("demosaicing", "JPEG", "colour
             matrix"); empty where it is.
         pixels_share: Why the noise of neighbouring pixels is not independent, where the channels may be ("resampling");
@@ -141,6 +143,7 @@ class Problem:
     linear16: WhenUsed[Tensor | None] = WhenUsed(None)
     raw: RawPictures | None = None
     noise: Noise | None = None
+    exposures: tuple[float, ...] = ()
     channels_share: tuple[str, ...] = ()
     pixels_share: tuple[str, ...] = ()
     clean: Tensor | None = None
@@ -161,6 +164,10 @@ class Problem:
             object.__setattr__(self, "names", tuple(f"{i:04d}" for i in range(len(self.views))))
         if len(self.names) != len(self.views):
             raise ValueError(f"there must be one name per view, got {len(self.names)} for {len(self.views)} views")
+
+    def noise_at(self, view: int) -> Noise | None:
+        """The noise of the pictures of one view, as they are here."""
+        return self.noise.at(self.exposures[view]) if self.noise is not None and self.exposures else self.noise
 
     def encoded(self, pictures: Pictures) -> Tensor:
         """The dark pictures, sRGB-encoded, [C, H, W, 3] in 0..1: the 8-bit ones, or the linear ones encoded.
@@ -197,6 +204,15 @@ class Problem:
             self, views=views, srgb8=self.srgb8.to(device), linear16=moved(self.linear16), raw=raw,
             clean=moved(self.clean), clean_demosaiced=moved(self.clean_demosaiced), shared=Memo(),
         )  # fmt: skip
+
+
+def refuse_uneven(exposures: Sequence[float], method: str) -> None:
+    """Raise LacksInput where views are of several exposures, times of a common one."""
+    if set(exposures) - {1.0}:
+        raise LacksInput(
+            f"{method} knows one noise for the data of all views, and these were exposed {min(exposures):.3g} to "
+            f"{max(exposures):.3g} times the common time: take a method that fits pictures, such as nova-fast or raw-gs"
+        )
 
 
 def encode(linear: np.ndarray) -> np.ndarray:

@@ -1,7 +1,7 @@
 """The bound of counting statistics across views: the method `averaging`."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -50,7 +50,9 @@ def train(
     device = problem.views.viewmats.device
     known, training = cameras_of(surface, config.tolerance), surface.training
     del surface  # as large as the cameras
-    exposures, variances = _exposures(linear16.cpu(), clean.cpu(), noise_of(problem).linear16, config.exposures)
+    noise = noise_of(problem)
+    noises = [noise.at(exposure).linear16 for exposure in problem.exposures or (1.0,) * len(clean)]
+    exposures, variances = _exposures(linear16.cpu(), clean.cpu(), noises, config.exposures)
 
     def enhance(dark: Tensor, view: int) -> Tensor:
         params = parameters_of_all(problem, config.enhance, config.pictures)[view]
@@ -78,7 +80,7 @@ def cameras_of(surface: TrueSurface, tolerance: float) -> list[SurfaceCamera]:
 
 
 def _exposures(
-    noisy: Tensor, clean: Tensor, noise: Variance, exposures: Literal["noisy", "noise-free"]
+    noisy: Tensor, clean: Tensor, noises: Sequence[Variance], exposures: Literal["noisy", "noise-free"]
 ) -> tuple[EachView, EachView]:
     """The exposures in linear light and the variance of their noise, [H, W, 3] of each view.
 
@@ -87,7 +89,7 @@ def _exposures(
     Args:
         noisy: The linear 16-bit pictures.
         clean: Those without noise, sRGB-encoded.
-        noise: Of the linear ones.
+        noises: Of the linear ones, view by view.
         exposures: Which of both are averaged.
     """
 
@@ -95,7 +97,7 @@ def _exposures(
         return np.asarray(srgb_to_linear(clean[view].double().numpy()), np.float64)
 
     def variance(view: int) -> Array:
-        found: Array = noise(clean.new_tensor(light(view)).double()).numpy()
+        found: Array = noises[view](clean.new_tensor(light(view)).double()).numpy()
         return found
 
     # Without the floor a camera without noise would divide by zero.

@@ -9,7 +9,7 @@ from torch import Tensor
 from novags.methods.inputs import LacksInput
 from novags.methods.light import MeasuredLight, measured_light, problem_light
 from novags.methods.noise import Noise, Variance
-from novags.methods.problem import Problem, RawPictures, gathered
+from novags.methods.problem import Problem, RawPictures, gathered, refuse_uneven
 
 # Data whose noise does not grow with the signal have no electrons. They are taken as so many that the transform is
 # straight over the whole range: the variance of this many electrons is the read variance.
@@ -64,8 +64,10 @@ def measured(problem: Problem) -> MeasuredPictures:
     """The data of a problem in electrons.
 
     Raises:
-        LacksInput: If the data have no noise, their noise is unknown, or neighbouring data share it.
+        LacksInput: If the data have no noise, their noise is unknown, neighbouring data share it, or views differ in
+            exposure.
     """
+    refuse_uneven(problem.exposures, "denoising")
     noise = _known(problem.noise)
     return in_electrons(problem_light(problem, noise, problem.channels_share + problem.pixels_share))
 

@@ -20,7 +20,8 @@ def enhanced(problem: Problem, config: Enhancement, pictures: Pictures) -> Tenso
     dark = problem.encoded(pictures)
     found = torch.empty_like(dark)
     for view, name in enumerate(problem.names):
-        found[view] = enhanced_view(problem.shared, name, dark[view], config, pictures, problem.noise)[0]
+        noise = problem.noise_at(view)
+        found[view] = enhanced_view(problem.shared, name, dark[view], config, pictures, noise)[0]
     return found
 
 
@@ -43,7 +44,8 @@ def enhanced_clean(problem: Problem, config: Enhancement, pictures: Pictures, *,
     assert clean is not None
     found = torch.empty_like(clean)
     for k, view in enumerate(zip(problem.names, dark, clean, strict=True)):
-        found[k] = enhanced_twin(problem.shared, *view, config, pictures, problem.noise, demosaiced=demosaiced)
+        noise = problem.noise_at(k)
+        found[k] = enhanced_twin(problem.shared, *view, config, pictures, noise, demosaiced=demosaiced)
     return found
 
 
@@ -60,7 +62,7 @@ def enhanced_twin(
         clean: The same exposure without noise.
         config: Of the enhancer.
         pictures: Which pictures `dark` is one of.
-        noise: Of the capture, where it is known.
+        noise: Of the view, where it is known.
         demosaiced: Whether `clean` was interpolated from a mosaic.
     """
     params = parameters(shared, name, dark, config, pictures, noise)
@@ -101,8 +103,8 @@ def parameters_of_all(problem: Problem, config: Enhancement, pictures: Pictures)
     """The parameters of the enhancement of every view; no pictures are read for them again."""
 
     def made() -> list[Any]:
-        views = zip(problem.names, problem.encoded(pictures), strict=True)
-        return [parameters(problem.shared, *view, config, pictures, problem.noise) for view in views]
+        views = enumerate(zip(problem.names, problem.encoded(pictures), strict=True))
+        return [parameters(problem.shared, *view, config, pictures, problem.noise_at(k)) for k, view in views]
 
     return problem.once(("parameters of all", problem.names, pictures, config, stamps(config)), made)
 

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from novags.methods.light import MeasuredLight, problem_light
 from novags.methods.noise import Noise
-from novags.methods.problem import Problem
+from novags.methods.problem import Problem, refuse_uneven
 
 FULL = 0.98  # of white: a datum at or above it counts as saturated
 
@@ -52,8 +52,9 @@ def exposures(problem: Problem, noise: Noise, held_share: float) -> LightMeasure
         held_share: Of the pixels, drawn by the problem's seed, to be held out where noise is independent; 0..1.
 
     Raises:
-        LacksInput: As `measured_light` says.
+        LacksInput: As `measured_light` says, and for views of several exposures.
     """
+    refuse_uneven(problem.exposures, "nova-plus")
     shared = problem.channels_share + problem.pixels_share
     found = problem_light(problem, noise, shared)
     generator = torch.Generator().manual_seed(problem.seed)

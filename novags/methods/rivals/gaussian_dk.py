@@ -6,8 +6,8 @@ g is a small network, the same for all colours and views; the last term fixes th
 gives the lit picture.
 
 Differences from the publication, and open points in it: Its photographs had exposures of their own, here all views of a
-capture have one, so that g is only seen where the dark pictures are, and guessed beyond. g is a logistic curve plus a
-network that says nothing at first. The lit exposure brings the mean of the training views to `target`, where the
+capture come in one, so that g is only seen where the dark pictures are, and guessed beyond. g is a logistic curve and
+a network that says nothing at first. The lit exposure brings the mean of the training views to `target`, where the
 publication chooses by hand. Its scaling of gradients near the camera belongs to densification by gradients, which
 3DGS-MCMC does without, as for all methods here.
 """

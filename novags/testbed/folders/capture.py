@@ -1,6 +1,6 @@
 """A capture on disk: one dark exposure per view, in every form its readers need, with the ground truth.
 
-capture.json          sensor, exposure, plan, seeds, the set it was made from; written last
+capture.json          sensor, exposure, how views differ, plan, seeds, the set it was made from; written last
 raw/NNNN.dng          the sensor's digital numbers
 images16/NNNN.png     linear RGB, 16-bit            images/NNNN.png    sRGB, 8-bit
 truth/NNNN.exr        digital numbers: analytic mean and variance, noise-free (clean), saturation; behind a colour
@@ -37,7 +37,7 @@ from sensor_model.files.door import enter, resolved
 from sensor_model.files.records import Reads, read_once
 from sensor_model.frame import own
 from sensor_model.isp import Demosaic, develop, develop_linear, from_linear16, srgb_to_linear, white_balance
-from sensor_model.params import Cfa, Exposure, Sensor
+from sensor_model.params import Cfa, Sensor
 from simscenes.sets.multiview import MultiviewSet, load_set
 from simscenes.sets.pictures.exr import read_exr, write_exr
 from simscenes.sets.pictures.png import read_codes, read_png, write_png
@@ -56,8 +56,8 @@ def has_view(folder: Path, name: str) -> bool:
 
 
 def write_view(
-    folder: Path, name: str, frame: "RawFrame", sensor: Sensor, exposure: Exposure, demosaic: Demosaic,
-    color_matrix: np.ndarray | None, jpeg_quality: int | None = None, *, clean_rgb: np.ndarray | None = None,
+    folder: Path, name: str, frame: "RawFrame", sensor: Sensor, demosaic: Demosaic, color_matrix: np.ndarray | None,
+    jpeg_quality: int | None = None, *, clean_rgb: np.ndarray | None = None, seen_by: Sensor | None = None,
 ) -> None:  # fmt: skip
     """Write everything about one exposure.
 
@@ -66,16 +66,16 @@ def write_view(
         name: Of the view.
         frame: The exposure.
         sensor: The camera.
-        exposure: How it was used.
-        demosaic: As for `develop`.
-        color_matrix: As for `develop`.
-        jpeg_quality: As for `develop`.
+        demosaic: As for `develop`, like the next two.
+        color_matrix: From the camera's colours to linear sRGB.
+        jpeg_quality: Of the 8-bit picture.
         clean_rgb: Of a frame behind a colour filter array: the signal of all three channels of each pixel without
             noise, [h,w,3], DN.
+        seen_by: The camera as white balance takes it; None: as it is.
     """
     for part in ("raw", "truth"):
         (folder / part).mkdir(parents=True, exist_ok=True)
-    write_dng(folder / "raw" / f"{name}.dng", frame.dn, sensor, exposure, color_matrix=color_matrix)
+    write_dng(folder / "raw" / f"{name}.dng", frame.dn, sensor, frame.exposure, color_matrix=color_matrix)
     truth = {
         **_planes("mean", frame.mean_dn),
         **_planes("variance", frame.variance_dn),
@@ -84,7 +84,8 @@ def write_view(
         **_planes("saturated", frame.saturated.astype(np.uint32)),
     }
     write_exr(folder / "truth" / f"{name}.exr", truth)
-    developed = develop(frame, sensor, demosaic=demosaic, color_matrix=color_matrix, jpeg_quality=jpeg_quality)
+    taken = seen_by or sensor
+    developed = develop(frame, taken, demosaic=demosaic, color_matrix=color_matrix, jpeg_quality=jpeg_quality)
     write_png(folder / "images16" / f"{name}.png", developed.linear16)
     write_png(folder / "images" / f"{name}.png", developed.srgb8)
 
@@ -141,28 +142,32 @@ class Capture:
             raise LacksInput(f"{self.path}: {MISSING[part]}")
 
     def srgb8(self, i: int) -> np.ndarray:
-        """The 8-bit picture, sRGB-encoded float32 [h,w,3] in 0..1."""
-        return self.memo.once(("srgb8", i), lambda: self._read(read_png, "images", i, ".png"))
+        """The 8-bit picture, sRGB-encoded float32 [h,w,3] in 0..1; evened (`Uneven.even`)."""
+        even = self.record.uneven.even_srgb
+        return self.memo.once(("srgb8", i), lambda: even(self._read(read_png, "images", i, ".png"), i))
 
     def linear16(self, i: int) -> np.ndarray:
-        """The 16-bit picture, linear float32 [h,w,3], 0 = black, 1 = white; noise around black stays below 0.
+        """The 16-bit picture, linear float32 [h,w,3], 0 = black, 1 = white; noise around black stays below 0; evened.
 
         Raises:
             LacksInput: If the capture has no 16-bit pictures.
         """
         self._need("images16")
-        return self.memo.once(
-            ("linear16", i), lambda: from_linear16(self._read(read_codes, "images16", i, ".png")).astype(np.float32)
-        )
+        even = self.record.uneven.even
+        return self.memo.once(("linear16", i), lambda: even(self._read(_light, "images16", i, ".png"), i))
 
     def raw(self, i: int) -> np.ndarray:
-        """Digital numbers of the sensor, uint16 [h,w], or [h,w,3] of three chips.
+        """Digital numbers of the sensor as taken, uint16 [h,w], or [h,w,3] of three chips.
 
         Raises:
             LacksInput: If the capture has no raw frames.
         """
         self._need("raw")
         return self._read(read_digital_numbers, "raw", i, ".dng")
+
+    def even_raw(self, i: int) -> np.ndarray:
+        """`raw` in the exposure that is common to all views."""
+        return self.record.uneven.even_raw(self.raw(i), i, *self.levels[1:])
 
     def dark(self, i: int, pictures: Pictures) -> np.ndarray:
         """The dark exposure, sRGB-encoded float32 [h,w,3] in 0..1: the 8-bit picture, or the linear one encoded."""
@@ -241,11 +246,6 @@ class Capture:
         return found
 
     @property
-    def exposure(self) -> Exposure:
-        """How the camera was used."""
-        return self.record.exposure
-
-    @property
     def channels_share(self) -> tuple[str, ...]:
         """Why the noise of a pixel's three channels is not independent; empty where it is."""
         levels = self.imported and self.imported.levels
@@ -282,14 +282,18 @@ class Capture:
 
     @property
     def noise(self) -> Noise | None:
-        """The noise of the camera, or an estimate from the training pictures (`Noise.origin`).
+        """The noise of the camera in the common exposure, or an estimate from the training pictures (`Noise.origin`).
 
         They do where the camera is not known, or pixels were averaged after the exposure; None if they are too small.
         """
         if self.sensor is None or self.pixels_share:
             return self.memo.once("noise from pictures", self._noise_from_pictures)
-        demosaic, matrix = self.record.demosaic, self.record.color_matrix
-        return camera_noise(self.sensor, self.exposure, demosaic=demosaic, color_matrix=matrix)
+        used, matrix = self.record, self.record.color_matrix
+        return camera_noise(self.sensor, used.exposure, demosaic=used.demosaic, color_matrix=matrix, frames=used.burst)
+
+    def noise_at(self, i: int) -> Noise | None:
+        """The noise of the evened pictures of view `i`."""
+        return self.noise and self.noise.at(self.record.uneven.times(i))
 
     def _noise_from_pictures(self) -> Noise | None:
         rig, indices = self.cameras.rig, self.cameras.train_indices
@@ -344,6 +348,10 @@ class Capture:
         return Source(views=views, rig=self.cameras.rig, console=console, lit_known=lit, reads=self.reads)
 
 
+def _light(path: Path) -> np.ndarray:
+    return from_linear16(read_codes(path))
+
+
 def _truth_dn(path: Path, kind: str) -> np.ndarray:
     channels, _ = read_exr(path)
     return channels[kind] if kind in channels else _channels_of(path, kind, channels)
@@ -388,6 +396,5 @@ def _enter(path: Path) -> None:
         raise ValueError(f"no such capture folder: {path}")
     enter(path)
     if not (path / RECORD).exists():
-        raise ValueError(
-            f"{path} holds no {RECORD}: it is not a capture, or an unfinished one (run novags capture again)"
-        )
+        raise ValueError(f"{path} holds no {RECORD}: it is not a capture, or an unfinished one (run novags capture "
+                         "again)")  # fmt: skip

@@ -5,6 +5,7 @@ A capture is simulated, or photographs that were imported: it has one of these t
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from novags.testbed.folders.place import place_text
 from novags.testbed.ledger.contents import read_json
 from sensor_model.files.camera_file import sensor_from_dict
 from sensor_model.files.reading import reading
+from sensor_model.frame.uneven import EVEN, Uneven
 from sensor_model.isp import DEMOSAIC, Demosaic
 from sensor_model.params import Cfa, Exposure, Sensor
 
@@ -84,7 +86,9 @@ class CaptureRecord:
         scene: Its name; None: of an earlier version.
         sensor_name: None: not known.
         sensor: None: not known.
-        exposure: How the camera was used.
+        exposure: How the camera was used; common to all views.
+        burst: Frames that each view is the mean of.
+        uneven: How single views differ from it, in white balance too.
         demosaic: How mosaics became pictures.
         color_matrix: From the camera's colours to linear sRGB, [3,3]; None: identity.
         views: How many.
@@ -102,6 +106,8 @@ class CaptureRecord:
     sensor_name: str | None
     sensor: Sensor | None
     exposure: Exposure
+    burst: int
+    uneven: Uneven
     demosaic: Demosaic
     color_matrix: list[list[float]] | None
     views: int
@@ -113,6 +119,15 @@ class CaptureRecord:
     stage: Mapping[str, Any]
     simulated: Simulated | None
     imported: Imported | None
+
+    @property
+    def variety(self) -> str:
+        """How views were taken, if not one exposure each and all alike; in words for a title."""
+        times = self.uneven.exposures
+        found = [f"bursts of {self.burst}"] if self.burst > 1 else []
+        found += [f"exposed {min(times):.3g} to {max(times):.3g} times as long"] if set(times) - {1.0} else []
+        even = set(self.uneven.balances) <= {(1.0, 1.0, 1.0)}
+        return ", ".join([*found, *([] if even else ["white balance by view"])])
 
 
 def read_capture_record(path: Path) -> CaptureRecord:
@@ -128,6 +143,7 @@ def read_capture_record(path: Path) -> CaptureRecord:
     if largest > LARGEST:
         raise ValueError(f"{path}: color_matrix must hold numbers up to {LARGEST:g}, got {largest:g}: capture again")
     with reading(path, "capture again"):
+        uneven = EVEN if "uneven" not in found else _uneven(found["uneven"], found)
         sensor = None if found["sensor"] is None else sensor_from_dict(found["sensor"])
         exposure = Exposure(**{**found["exposure"], "origin": tuple(found["exposure"]["origin"])})
         if found["demosaic"] not in DEMOSAIC:
@@ -137,6 +153,8 @@ def read_capture_record(path: Path) -> CaptureRecord:
         sensor_name=found["sensor_name"],
         sensor=sensor,
         exposure=exposure,
+        burst=found.get("burst", 1),
+        uneven=uneven,
         demosaic=found["demosaic"],
         color_matrix=found["color_matrix"],
         views=found["views"],
@@ -149,6 +167,17 @@ def read_capture_record(path: Path) -> CaptureRecord:
         simulated=None if foreign else _simulated(found),
         imported=imported,
     )
+
+
+def _uneven(told: dict[str, Any], found: dict[str, Any]) -> Uneven:
+    views, matrix = found["views"], found["color_matrix"]
+    exposures, balances = told["exposures"], tuple(map(tuple, told["balances"]))
+    if not len(exposures) == len(balances) == views:
+        raise ValueError(f"uneven must say exposure and balance of each of {views} views, got {len(exposures)} and "
+                         f"{len(balances)}")  # fmt: skip
+    if not all(1 / LARGEST <= factor <= LARGEST for factor in chain(exposures, *balances)):
+        raise ValueError(f"uneven must hold factors in {1 / LARGEST:g}..{LARGEST:g}")
+    return Uneven(exposures=tuple(exposures), balances=balances, matrix=matrix and tuple(map(tuple, matrix)))
 
 
 def _simulated(found: dict[str, Any]) -> Simulated:

@@ -35,7 +35,7 @@ def enhanced_truth(capture: Capture, i: int, enhancement: dict[str, Any], *, dem
     images = capture.dark(i, pictures), capture.clean(i, demosaiced=demosaiced)
     dark, clean = (torch.from_numpy(image.copy()) for image in images)
     found: Image = enhanced_twin(
-        capture.memo, capture.names[i], dark, clean, config, pictures, capture.noise, demosaiced=demosaiced
+        capture.memo, capture.names[i], dark, clean, config, pictures, capture.noise_at(i), demosaiced=demosaiced
     ).numpy()
     return found
 
@@ -45,7 +45,7 @@ def enhanced_dark(capture: Capture, i: int, enhancement: dict[str, Any]) -> Imag
     _, config = recorded(enhancement)
     dark = torch.from_numpy(capture.dark(i, enhancement["pictures"]).copy())
     name, pictures = capture.names[i], enhancement["pictures"]
-    found: Image = enhanced_view(capture.memo, name, dark, config, pictures, capture.noise)[0].numpy()
+    found: Image = enhanced_view(capture.memo, name, dark, config, pictures, capture.noise_at(i))[0].numpy()
     return found
 
 
@@ -81,7 +81,7 @@ def pictured(run: MethodOutcome, capture: Capture, rendered: Image) -> Image:
         found = []
         for i in capture.cameras.train_indices:
             dark = torch.from_numpy(capture.dark(i, pictures).copy())
-            found.append(parameters(capture.memo, capture.names[i], dark, config, pictures, capture.noise))
+            found.append(parameters(capture.memo, capture.names[i], dark, config, pictures, capture.noise_at(i)))
         return enhancer.typical(found)
 
     params = capture.memo.once(("typical", pictures, config), typical)

@@ -16,7 +16,7 @@ from novags.numbers import SSIM_WINDOW
 from novags.testbed.console.terminal import Console, warnings_as_notes
 from novags.testbed.folders.exchanged import refuse_exchanged
 from novags.testbed.folders.photographs.raw_files import is_raw, skipped_steps
-from novags.testbed.ledger.contents import folder_digest
+from novags.testbed.ledger.contents import folder_digest, read_json
 from sensor_model.files.door import enter
 from sensor_model.files.reading import some
 from sensor_model.files.records import Reads, read_once
@@ -270,6 +270,9 @@ def open_source(path: Path, console: Console, max_size: int | None = None) -> So
 def source_of(views: MultiviewSet, console: Console, max_size: int | None = None) -> Source:
     """The result of `open_source` for the views of a folder that was opened already; arguments and errors as there."""
     path = views.path
+    if (path / "capture.json").is_file() and "uneven" in read_json(path / "capture.json"):
+        raise ValueError(f"the views of {path} differ in exposure or white balance: as a set or as photographs they "
+                         "would show one surface in several brightnesses; use a capture of like views")  # fmt: skip
     if views.renamed and views.kind == "photographs" and not (path / "capture.json").is_file():
         name, file = next(iter(views.renamed.items()))
         console.warn(f"{len(views.renamed)} of {len(views)} files and their views cannot have one name ({file!r}: view "

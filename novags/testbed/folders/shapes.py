@@ -16,6 +16,7 @@ CAPTURE = {
     "set": {"path": PLACE, "kind": str, "max_size": (int, None)}, "sensor_name": str, "sensor": dict,
     "exposure": {"time": float, "temperature?": (float, None), "origin": [int], "line_time?": float},
     "electrons": float, "signal_quantiles_e": {"0.01": float, "0.99": float}, "demosaic": str,
+    "burst?": int, "uneven?": {"exposures": [float], "balances": [Numbers(3)]},
     "seed?": int, "noise_seed?": int, "mean_green_radiance?": float,
     "color_matrix": (Numbers(3, 3), None), "jpeg_quality?": (int, None), "views": int, "width": int, "height": int,
     "plan": (PLAN, None), "stage": {**STAGE, "inputs": {"set": str}},

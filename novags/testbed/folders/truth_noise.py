@@ -44,7 +44,7 @@ def references_at(run: Run, capture: Capture, lit: Source, i: int, factor: Image
             _, config = recorded(run.enhancement)
             pictures, name = run.enhancement["pictures"], capture.names[i]
             dark = torch.from_numpy(capture.dark(i, pictures).copy())
-            params = enhanced_view(capture.memo, name, dark, config, pictures, capture.noise)[1]
+            params = enhanced_view(capture.memo, name, dark, config, pictures, capture.noise_at(i))[1]
             found["enhanced" + suffix] = enhanced_like(torch.from_numpy(encode(light)), config, params).numpy()
         if run.space == "linear" and "linear" not in missing:
             found["linear" + suffix] = light

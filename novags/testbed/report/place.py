@@ -108,7 +108,8 @@ def title_of(capture: Capture, lit: Source) -> str:
     """Scene, electrons and camera of a capture."""
     if (told := capture.record.simulated) is None:
         return f"{scene_of(lit)}, photographs from the dark"
-    return f"{scene_of(lit)}, {told.electrons:g} electrons, {capture.record.sensor_name}"
+    parts = [scene_of(lit), f"{told.electrons:g} electrons", capture.record.variety, capture.record.sensor_name]
+    return ", ".join(part for part in parts if part)
 
 
 def scene_of(lit: Source) -> str:

@@ -1,4 +1,4 @@
-"""Capture: photograph a multiview set in the dark, one exposure per view, view by view."""
+"""Capture: photograph a multiview set in the dark, one exposure or burst per view, view by view."""
 
 import math
 import os
@@ -20,11 +20,12 @@ from novags.testbed.stages.configs.capturing import CaptureConfig, camera_file
 from novags.testbed.stages.layouts import LAYOUTS, check_source_of, truth_of, write_layouts
 from novags.testbed.stages.paths import keep_apart
 from novags.warm import compile_ahead
-from sensor_model.capture import RawFrame, clean_response, expose
+from sensor_model.capture import RawFrame, clean_response, expose_burst, mean_of
 from sensor_model.files.camera_file import read_maps
 from sensor_model.files.dng import SMALLEST
 from sensor_model.files.lock import locked
 from sensor_model.frame.measured import Measured
+from sensor_model.frame.uneven import EVEN, Uneven, draw_uneven
 from sensor_model.mosaicking import mosaic
 from sensor_model.params import Exposure, Sensor
 from sensor_model.plan import Plan
@@ -69,6 +70,8 @@ def capture(
     keep_apart(out, set_path)
     source = open_source(set_path, console, config.max_size)
     check_source_of(config.export, source)
+    if config.bracket and len(source.views) < 2:
+        raise ValueError(f"bracket interleaves two exposures: it needs 2 views or more, and {source.title} has 1")
     if min(source.rig.width, source.rig.height) < SMALLEST:
         said = (
             f"images of {source.rig.width} x {source.rig.height} px make raw files that LibRaw refuses: it takes "
@@ -105,13 +108,14 @@ def camera_for(source: Source, config: CaptureConfig) -> Sensor:
 
 @dataclass(frozen=True)
 class Light:
-    """The data that all views of a capture share, because they share one exposure."""
+    """The data that all views of a capture share, because one exposure is common to them."""
 
     mean_green: float  # radiance over the set
     signal_e: np.ndarray  # `QUANTILES` of the charge in the sensor's channels, e-
     sensor: Sensor  # with dark frames, in their numbers
     measured: Measured  # maps and dark frames of the camera
     plan: Plan | None  # which effects to simulate; None: all of them
+    uneven: Uneven = EVEN  # how single views differ
 
 
 def look_and_meter(source: Source, config: CaptureConfig, console: Console) -> Light:
@@ -136,8 +140,9 @@ def meter(source: Source, config: CaptureConfig, console: Console, pixels: int |
     """
     measured = measured_of(source, config, console)
     sensor = measured.dark.described if measured.dark else camera_for(source, config)
+    uneven = uneven_of(sensor, len(source.views), config)
     with console.progress("capture: light") as progress:
-        mean_green, signal = measure_light(source, sensor, progress)
+        mean_green, signal = measure_light(source, sensor, progress, uneven)
     signal_e = signal * config.electrons / mean_green
     if (median := signal_e[QUANTILES.index(0.5)]) >= sensor.capacity_e:
         console.warn(
@@ -145,9 +150,10 @@ def meter(source: Source, config: CaptureConfig, console: Console, pixels: int |
             f"and {config.sensor_name} saturates at {sensor.capacity_e:.3g} e-; take fewer electrons"
         )
     if (limits := config.limits(pixels or source.rig.width * source.rig.height)) is None:
-        return Light(mean_green, signal_e, sensor, measured, None)
-    plan = plan_effects(sensor, config.exposure, signal_e, limits)
-    return Light(mean_green, signal_e, sensor, measured, measured.said(plan))
+        return Light(mean_green, signal_e, sensor, measured, None, uneven)
+    longest = lengthened(config.exposure, max(uneven.exposures, default=1.0))
+    plan = plan_effects(sensor, longest, signal_e, limits)
+    return Light(mean_green, signal_e, sensor, measured, measured.said(plan), uneven)
 
 
 def measured_of(source: Source, config: CaptureConfig, console: Console) -> Measured:
@@ -163,6 +169,21 @@ def measured_of(source: Source, config: CaptureConfig, console: Console) -> Meas
     return replace(found, dark=config.dark_folder(file).read(camera_for(source, config), size, config.time, console))
 
 
+def uneven_of(sensor: Sensor, views: int, config: CaptureConfig) -> Uneven:
+    """How the views differ."""
+    if not config.uneven:
+        return EVEN
+    return draw_uneven(
+        sensor, views, seed=config.noise_seed, exposure_spread=config.exposure_spread,
+        white_balance_spread=config.white_balance_spread, bracket=config.bracket,
+    )  # fmt: skip
+
+
+def lengthened(exposure: Exposure, factor: float) -> Exposure:
+    """The same with so many times its time."""
+    return replace(exposure, time=exposure.time * factor)
+
+
 def capture_views(
     source: Source, light: Light, folder: Path, config: CaptureConfig, console: Console
 ) -> dict[str, Any]:
@@ -174,7 +195,7 @@ def capture_views(
     Raises:
         ValueError: If the set holds bad radiance.
     """
-    sensor, exposure, plan = light.sensor, config.exposure, light.plan
+    sensor, exposure, plan, uneven = light.sensor, config.exposure, light.plan, light.uneven
     names = source.views.names
     compile_ahead("camera", console.note)
     with console.progress("capture") as progress:
@@ -182,11 +203,19 @@ def capture_views(
             if not has_view(folder, name):
                 frame, clean = expose_with_truth(
                     source.radiance(i), sensor, exposure, electrons=config.electrons, mean_green=light.mean_green,
-                    seed=config.noise_seed, view=i, plan=plan, measured=light.measured,
+                    seed=config.noise_seed, view=i, plan=plan, times=uneven.times(i), frames=config.burst,
+                    measured=light.measured,
                 )  # fmt: skip
-                matrix = source.color_matrix
                 write_view(
-                    folder, name, frame, sensor, exposure, config.demosaic, matrix, config.jpeg_quality, clean_rgb=clean
+                    folder,
+                    name,
+                    frame,
+                    sensor,
+                    config.demosaic,
+                    source.color_matrix,
+                    config.jpeg_quality,
+                    clean_rgb=clean,
+                    seen_by=uneven.seen_by(sensor, i),
                 )
             progress(i + 1, len(names), f"view {name}")
     write_cameras(
@@ -204,6 +233,8 @@ def capture_views(
         "sensor_name": config.sensor_name,
         "sensor": sensor,
         "exposure": exposure,
+        **({} if config.burst == 1 else {"burst": config.burst}),
+        **({"uneven": {"exposures": uneven.exposures, "balances": uneven.balances}} if uneven.exposures else {}),
         "electrons": config.electrons,
         "mean_green_radiance": light.mean_green,
         "signal_quantiles_e": dict(zip(map(str, QUANTILES), light.signal_e.tolist(), strict=True)),
@@ -223,22 +254,37 @@ def capture_views(
 
 def expose_view(
     radiance: np.ndarray, sensor: Sensor, exposure: Exposure, *, electrons: float, mean_green: float, seed: int,
-    view: int, plan: Plan | None = None, measured: Measured | None = None,
+    view: int, plan: Plan | None = None, times: float = 1.0, frames: int = 1, measured: Measured | None = None,
 ) -> RawFrame:  # fmt: skip
     """One exposure of linear RGB [h,w,3], scaled so that green of `mean_green` gives so many electrons.
+
+    Args:
+        radiance: The light.
+        sensor: The camera.
+        exposure: How it is used; common to all views.
+        electrons: Of the common exposure.
+        mean_green: Light that gives them.
+        seed: Of the noise.
+        view: Which.
+        plan: As for `expose`.
+        times: The exposure of this view over the common one.
+        frames: Of a burst, whose mean it is.
+        measured: As for `expose`.
 
     Raises:
         ValueError: If the light or a number is out of range.
     """
-    photons = photons_for_electrons(radiance, electrons=electrons, mean_green=mean_green, sensor=sensor)
+    photons = photons_for_electrons(radiance, electrons=times * electrons, mean_green=mean_green, sensor=sensor)
     seen = mosaic(photons, sensor.cfa) if sensor.cfa else photons
-    return expose(seen, sensor, exposure, seed=seed, view=view, plan=plan, measured=measured)
+    used = lengthened(exposure, times)
+    burst = expose_burst(seen, sensor, used, frames=frames, seed=seed, view=view, plan=plan, measured=measured)
+    return replace(mean_of(burst), times=times)
 
 
 def expose_with_truth(
     radiance: np.ndarray, sensor: Sensor, exposure: Exposure, *, electrons: float, mean_green: float, **how: Any
 ) -> tuple[RawFrame, np.ndarray | None]:
-    """One exposure as `expose_view` takes it; for a mosaic also the signal of its three channels without noise.
+    """One exposure as `expose_view` takes it; for a mosaic also the common signal of its three channels without noise.
 
     Returns:
         The frame; and DN [h,w,3] as from three chips of the same camera, without the effects that the plan leaves out.
@@ -257,8 +303,14 @@ def files_of(source: Source) -> dict[str, str]:
     return {name: os.path.relpath(file, views.path) for name, file in zip(views.names, views.files, strict=True)}
 
 
-def measure_light(source: Source, sensor: Sensor, progress: Update) -> tuple[float, np.ndarray]:
+def measure_light(source: Source, sensor: Sensor, progress: Update, uneven: Uneven = EVEN) -> tuple[float, np.ndarray]:
     """Mean green radiance over the set, and `QUANTILES` of the light on the sensor's channels, in the same unit.
+
+    Args:
+        source: The set.
+        sensor: The camera.
+        progress: Told of each view.
+        uneven: Exposures of the views; they count in the quantiles.
 
     Raises:
         ValueError: If every view is black in green.
@@ -269,7 +321,7 @@ def measure_light(source: Source, sensor: Sensor, progress: Update) -> tuple[flo
     for i in range(count):
         radiance = source.radiance(i)
         total += float(radiance[..., 1].mean(dtype=np.float64)) / count
-        seen = radiance * np.asarray(sensor.rgb_response, np.float32)
+        seen = radiance * np.asarray(sensor.rgb_response, np.float32) * np.float32(uneven.times(i))
         samples.append(some_pixels(seen, kept))
         least, most = min(least, float(seen.min())), max(most, float(seen.max()))
         progress(i + 1, count, f"view {source.views.names[i]}")

@@ -26,6 +26,8 @@ from simscenes.sets.pictures.png import write_png
 from simscenes.sets.writers.camera_files import CAMERA_FILES
 
 SHOWN = (RECORD, "images", "images16", "raw", *CAMERA_FILES)  # of a capture: all but the truth and lit twins
+UNEVEN = ("views of this capture differ in exposure or white balance, and the program gets them as taken: `uneven` of"
+          " capture.json has the factors of each view; pictures are scored at the common exposure")  # fmt: skip
 WORK = ".work"  # of a run under way: hidden, so that it is part of no digest
 
 
@@ -65,6 +67,8 @@ def _reconstruct(capture: Capture, out: Path, config: CommandConfig, console: Co
     try:
         shown, made = work / "capture", work / "out"
         show(capture, shown)
+        if capture.record.uneven.exposures:
+            console.note(f"{config.name}: {UNEVEN}")
         if config.given:
             without_noise(capture, shown)
         made.mkdir()

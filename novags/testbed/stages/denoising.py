@@ -9,7 +9,7 @@ import numpy as np
 from novags.methods.denoised.denoiser import denoised
 from novags.methods.denoised.measured import of_capture
 from novags.methods.denoised.weights import made_by
-from novags.methods.problem import stacked
+from novags.methods.problem import refuse_uneven, stacked
 from novags.testbed.console.devices import chosen_device
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import Capture, open_capture
@@ -59,6 +59,7 @@ def denoise_views(capture: Capture, out: Path, config: DenoisePicturesConfig, co
     indices, device = list(range(len(capture.names))), chosen_device(config.device, console)
     raw = raw_pictures(capture, indices) if capture.holds("raw") else None
     linear16 = stacked(capture.linear16, indices) if capture.holds("images16") else None
+    refuse_uneven(capture.record.uneven.exposures, "denoising")
     pictures = of_capture(capture.noise, raw, linear16, capture.channels_share + capture.pixels_share).to(device)
     steps = 0 if config.denoise.adapt is None else config.denoise.adapt.steps
     with console.progress("denoise", {"denoiser": steps, "views": len(indices)}) as progress:

@@ -144,6 +144,7 @@ def prepare(capture: Capture, source: Source, config: ReconstructConfig, console
         linear16=partial(stacked, capture.linear16, indices) if capture.holds("images16") else None,
         raw=raw_pictures(capture, indices) if capture.holds("raw") else None,
         noise=capture.noise,
+        exposures=tuple(capture.record.uneven.times(i) for i in indices),
         channels_share=capture.channels_share,
         pixels_share=capture.pixels_share,
         clean=stacked(capture.clean, indices) if method.sees_clean else None,
@@ -200,12 +201,13 @@ def true_surface(capture: Capture, source: Source, indices: list[int], name: str
 
 
 def raw_pictures(capture: Capture, indices: list[int]) -> RawPictures:
-    """The raw frames of these views."""
+    """The raw frames of these views, in one exposure."""
     cfa, black, white = capture.levels
     balance, matrix = capture.color
     return RawPictures(
-        dn=partial(stacked, capture.raw, indices), cfa=cfa, black=black, white=white, balance=balance, matrix=matrix
-    )
+        dn=partial(stacked, capture.even_raw, indices), cfa=cfa, black=black, white=white, balance=balance,
+        matrix=matrix,
+    )  # fmt: skip
 
 
 def reconstruct_views(

@@ -207,7 +207,7 @@ class Planner:
         return self._task(Task(
             kind="capture", key=key, name=named("-".join(parts), key), config=config, source=source,
             needs=() if source is not None else (made_of,), group=config.sensor_name,
-            modules=(*modules, *config.modules), work=pixels, pixels=pixels, for_runs=for_runs,
+            modules=(*modules, *config.modules), work=config.burst * pixels, pixels=pixels, for_runs=for_runs,
             disk=disk_of("capture", views, pixels, mosaic=config.camera.cfa is not None),
         ))  # fmt: skip
 

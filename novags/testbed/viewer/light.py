@@ -39,7 +39,7 @@ class ViewerCamera:
             return ViewerCamera(sensor, chosen.exposure, chosen.demosaic, source.color_matrix, seed)
         # The known light of imported photographs is in linear sRGB, not in the camera's own colours.
         matrix = None if capture.imported else record.color_matrix
-        return ViewerCamera(capture.sensor, capture.exposure, record.demosaic, matrix, seed)
+        return ViewerCamera(capture.sensor, record.exposure, record.demosaic, matrix, seed)
 
     def for_srgb(self) -> "ViewerCamera":
         """The same camera before light that is in linear sRGB already, for any colours that the set was rendered in."""

@@ -81,7 +81,7 @@ def read_capture(folder: Path, file: Path) -> object:
 
     capture = open_capture(folder / "capture")
     capture.source(Console(quiet=True))
-    return capture.clean(0), capture.linear16(0), capture.exposure, capture.channels_share
+    return capture.clean(0), capture.linear16(0), capture.record.exposure, capture.channels_share
 
 
 def make_run(folder: Path, views: int = 3, electrons: float = 200.0) -> None:

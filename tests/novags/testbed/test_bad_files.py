@@ -80,7 +80,7 @@ def use_transforms(path: Path) -> None:
 def use_capture(path: Path) -> None:
     capture = open_capture(path.parent)
     capture.clean(0), capture.linear16(0), capture.raw(0)
-    assert capture.exposure.time >= 0
+    assert capture.record.exposure.time >= 0
 
 
 def use_run(path: Path) -> None:

@@ -76,7 +76,8 @@ def view_tiles(i: int, place: Place, album: Album, called: str = "") -> ViewTile
     name, held_out = capture.names[i], i in capture.cameras.test_indices
     title = f"{called}, view {name}" if called else name
     run, tiles = runs[main], _Tiles(album, title if called else f"view {name}")
-    tiles.add("dark", "Dark input", "what the camera delivers, 8-bit sRGB", capture.srgb8(i))
+    evened = ", brought to the exposure and white balance of all" if capture.record.uneven.exposures else ""
+    tiles.add("dark", "Dark input", f"what the camera delivers, 8-bit sRGB{evened}", capture.srgb8(i))
     if run.enhancement is not None:
         noisy = enhanced_dark(capture, i, run.enhancement)
         tiles.add("enhanced", "Enhanced", "the dark input made bright, noise included", noisy)

@@ -44,7 +44,8 @@ def probe_of(capture: Capture, i: int) -> Probe | None:
     if sensor is not None and mean is not None:
         planes["mean"] = (mean - black) / sensor.gain
         planes["noise"] = np.sqrt(capture.truth(i, "variance")) / sensor.gain
-    if sensor is not None and dn.ndim == 3 and capture.record.color_matrix is None:
+    alike = not capture.record.uneven.exposures  # `linear` is evened, `dn` is as taken
+    if sensor is not None and dn.ndim == 3 and capture.record.color_matrix is None and alike:
         header["per_dn"] = (white_balance(sensor) / (white - black)).tolist()
     else:
         planes["linear"] = capture.linear(i)

@@ -30,6 +30,16 @@ BRIGHTEST = 1e9  # e-; cameras hold 1e6 at most
 LARGEST_ERROR = 100.0  # of the noise's standard deviation, in units of it
 
 
+LONGEST_BURST = 1000  # frames
+
+
+STOPS, MIRED = 10.0, 300.0  # the largest spreads: a thousandfold exposure, tungsten taken for blue sky
+
+
+# Settings under which a view is one exposure, and all views are alike.
+AS_ONE: dict[str, float] = {"burst": 1, "exposure_spread": 0.0, "white_balance_spread": 0.0, "bracket": 0.0}
+
+
 ROW_LENGTH = 33  # px; the enhancement averages over such windows, so noise that rows share adds up in them
 
 
@@ -46,6 +56,10 @@ class CaptureConfig:
     jpeg_quality: int | None = None  # 1..100: the 8-bit pictures go through JPEG; None: they do not
     tolerance: float | None = 0.05  # leave out effects that change the noise by less; None simulates all
     dark_frames: Path | None = None  # of this camera: all that is there without light is drawn from them
+    burst: int = 1  # frames of each view, whose mean is its picture
+    exposure_spread: float = 0.0  # stops; each view's time is drawn up to so far from `time`, evenly in stops
+    white_balance_spread: float = 0.0  # mired; each view's white balance errs by up to so much
+    bracket: float = 0.0  # stops; every second view is exposed so much longer
     export: tuple[str, ...] = ()  # further layouts of the capture: "blender", "llff"
     camera: Sensor = field(init=False)  # the camera named by `sensor`: a file is read once, and its content is hashed
     measured: tuple[tuple[str, str], ...] = field(init=False)  # hashes of its maps and dark frames, by name
@@ -68,8 +82,29 @@ class CaptureConfig:
         check_layouts(self.export)
         if self.time and not TIMES[0] <= self.time <= TIMES[1]:  # refuses negative times too
             raise ValueError(f"time must be 0 or in {TIMES} s, the range of its raw files, got {self.time}")
+        self._check_uneven()
         self.exposure, self.limits(1)  # they check the rest
         check_range("tolerance", self.tolerance or 0, 0, LARGEST_ERROR)
+
+    def _check_uneven(self) -> None:
+        check_range("burst", self.burst, 1, LONGEST_BURST, " frames")
+        for name, most, unit in (("exposure_spread", STOPS, "stops"), ("bracket", STOPS, "stops"),
+                                 ("white_balance_spread", MIRED, "mired")):  # fmt: skip
+            check_range(name, getattr(self, name), 0, most, f" {unit}")
+        if not self.uneven:
+            return
+        if self.export:
+            raise ValueError(f"export must be empty where exposure or white balance differs by view, which the layouts "
+                             f"{', '.join(self.export)} cannot state")  # fmt: skip
+        ends = self.time * 2.0**-self.exposure_spread, self.time * 2.0 ** (self.exposure_spread + self.bracket)
+        if (self.exposure_spread or self.bracket) and not TIMES[0] <= ends[0] < ends[1] <= TIMES[1]:
+            raise ValueError(f"time must leave the exposures of all views in {TIMES} s, the range of their raw files, "
+                             f"got {self.time} s and {ends[0]:.3g} to {ends[1]:.3g} s")  # fmt: skip
+
+    @property
+    def uneven(self) -> bool:
+        """Whether views differ in exposure or white balance."""
+        return any((self.exposure_spread, self.white_balance_spread, self.bracket))
 
     @property
     def sensor_name(self) -> str:
@@ -85,11 +120,10 @@ class CaptureConfig:
 
     def resolved(self) -> dict[str, Any]:
         """The settings that determine the pictures: the camera itself, neither the path of its file nor further
-        layouts.
+        layouts. Settings of `AS_ONE` are among them where they change something.
         """
-        kept = {
-            name: value for name, value in asdict(self).items() if name not in ("export", "dark_frames", "measured")
-        }
+        own = ("export", "dark_frames", "measured")
+        kept = {name: value for name, value in asdict(self).items() if name not in own and AS_ONE.get(name) != value}
         kept |= dict(self.measured)
         truth = {"truth": "three channels"} if self.camera.cfa else {}  # earlier versions kept the mosaic alone
         return kept | truth | {"sensor": self.sensor_name}
@@ -115,10 +149,13 @@ class CaptureConfig:
         return Exposure(time=self.time)
 
     def limits(self, pixels: int) -> Limits | None:
-        """The error allowed for leaving effects out of images of so many pixels; None: nothing is left out."""
+        """The error allowed for leaving effects out of images of so many pixels; None: nothing is left out.
+
+        Beside the mean of a burst, whose variance is so many times smaller, fixed patterns count so many times as much.
+        """
         if self.tolerance is None:
             return None
-        return Limits(sd=self.tolerance, row_length=ROW_LENGTH, pixels=pixels)
+        return Limits(sd=self.tolerance / self.burst, row_length=ROW_LENGTH, pixels=pixels)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,7 +10,7 @@ from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.set import Source, open_source
 from novags.testbed.stages.capturing import camera_for, measure_light
 from novags.testbed.stages.capturing import capture as take
-from novags.testbed.stages.configs.capturing import CaptureConfig
+from novags.testbed.stages.configs.capturing import AS_ONE, CaptureConfig
 from novags.testbed.stages.configs.rendering import RenderConfig
 from novags.testbed.stages.rendering import render
 from sensor_model.presets import PRESETS
@@ -39,7 +39,7 @@ def refuse_more(capture: Capture, source: Source) -> None:
 def make_more(capture: Capture, source: Source, folder: Path, console: Console) -> None:
     """Render and take `MORE` times the views, into `folder`/set and `folder`/capture; what is there is kept.
 
-    Every picture has the exposure of the first capture.
+    Every picture has the exposure that is common to those of the first capture, and differs from it likewise.
     """
     told = capture.record.simulated
     assert told is not None
@@ -49,7 +49,7 @@ def make_more(capture: Capture, source: Source, folder: Path, console: Console) 
     config = changed(base, {**asked, "n_views": MORE * len(source.views), "truth_samples": 1.0})
     render(folder / "set", config, console, overwrite=True)
     of = dotted(capture.record.stage["config"])
-    kept = ("sensor", "time", "seed", "max_size", "demosaic", "jpeg_quality", "tolerance")
+    kept = ("sensor", "time", "seed", "max_size", "demosaic", "jpeg_quality", "tolerance", *AS_ONE)
     taken = changed(CaptureConfig(sensor=of["sensor"]), {name: of[name] for name in kept if name in of})
     lit = open_source(folder / "set", console, taken.max_size)
     green, _ = measure_light(lit, camera_for(lit, taken), lambda *_: None)

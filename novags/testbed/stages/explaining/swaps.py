@@ -139,6 +139,8 @@ def noise(case: Case) -> Again:
     if not case.capture.holds("truth"):
         raise NotSwapped(f"of this capture {MISSING['truth']}")
     if case.run.method not in METHODS:
+        if case.capture.record.uneven.exposures:
+            raise NotSwapped("programs get views as taken, and noise-free ones are known of the common exposure alone")
         return replace(case.program, given="noise")
     if METHODS[case.config.variant.method].sees_clean:
         raise NotSwapped(f"{case.run.name} is given the noise-free exposures already")

@@ -85,8 +85,8 @@ def bias_floor(capture: Capture, lit: Source, enhancement: dict[str, Any]) -> fl
         for k in range(EXPOSURES):
             memo, pictures = Memo(), enhancement["pictures"]  # of this exposure alone
             dark = torch.from_numpy(exposed_again(capture, lit, i, FURTHER + k, pictures))
-            exposures.append(enhanced_view(memo, "", dark, config, pictures, capture.noise)[0].numpy())
-            references.append(enhanced_twin(memo, "", dark, clean, config, pictures, capture.noise).numpy())
+            exposures.append(enhanced_view(memo, "", dark, config, pictures, capture.noise_at(i))[0].numpy())
+            references.append(enhanced_twin(memo, "", dark, clean, config, pictures, capture.noise_at(i)).numpy())
         found.append(squared_bias(exposures, references))
     mean = float(np.mean(found))
     return PSNR_CEILING if mean <= 10 ** (-PSNR_CEILING / 10) else -10 * float(np.log10(mean))
@@ -98,14 +98,16 @@ def exposed_again(capture: Capture, lit: Source, i: int, seed: int, pictures: st
     assert record.sensor is not None, "of a simulated capture"
     assert told is not None, "of a simulated capture"
     assert told.mean_green is not None, "of this version"
+    uneven = record.uneven
     frame = expose_view(
         lit.radiance(i), record.sensor, record.exposure, electrons=told.electrons, mean_green=told.mean_green,
         seed=seed, view=i, plan=None if told.plan is None else Plan.from_dict(told.plan),
+        times=uneven.times(i), frames=record.burst,
     )  # fmt: skip
     developed = develop(
-        frame, record.sensor, demosaic=record.demosaic, color_matrix=record.color_matrix,
+        frame, uneven.seen_by(record.sensor, i), demosaic=record.demosaic, color_matrix=record.color_matrix,
         jpeg_quality=told.jpeg_quality,
     )  # fmt: skip
     if pictures == "8bit":
-        return developed.srgb8.astype(np.float32) / 255
-    return encode(from_linear16(developed.linear16))
+        return uneven.even_srgb(developed.srgb8.astype(np.float32) / 255, i)
+    return encode(uneven.even(from_linear16(developed.linear16), i))
