@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from sensor_model.params import require
 
 # One stream per effect. DSNU to RTS_SITE belong to the camera, not to the frame; TIME and TEMPERATURE to the view.
-SHOT, READ, ROW, COLUMN, BANDING, RTS, DSNU, PRNU, HOT, RTS_SITE, DARK_FRAME, DARK_STEP, TIME, TEMPERATURE = range(14)
+SHOT, READ, ROW, COLUMN, BANDING, RTS, DSNU, PRNU, HOT, RTS_SITE, TIME, TEMPERATURE, DARK_FRAME, DARK_STEP = range(14)
 
 FREE = 1 << 10  # streams from here on belong to effects from outside
 
