@@ -21,6 +21,7 @@ from sensor_model import (
     expose,
     plan_effects,
 )
+from sensor_model.plan import Effect
 from sensor_model.planner import kept_variance, simplify
 
 EXPOSURE = Exposure(time=0.05)
@@ -344,3 +345,26 @@ def test_a_bias_is_allowed_that_share_of_the_noise_in_codes(gain):
     found = plan_effects(sensor, EXPOSURE, [20.0, 500.0], Limits(sd=0.05))["black_bias"]
     noise = math.sqrt(gain**2 * (20.0 + sensor.sigma_d**2) + 1 / 12)
     assert found.bound == pytest.approx(0.05 * noise)
+
+
+def printed(*, on: bool = False, forced: bool = False, contribution: float = 0.001) -> tuple[str, str]:
+    """The row and the last line of a plan of one effect that may cost 0.004."""
+    effect = Effect(
+        name="fog", on=on, forced=forced, contribution=contribution, bound=0.004, unit="of all light", reason="so"
+    )
+    _, row, last = str(Plan(effects=(effect,), bound=contribution, unit="of all light")).splitlines()
+    return row, last
+
+
+@pytest.mark.parametrize(
+    ("on", "forced", "contribution", "mark"),
+    [(False, False, 0.001, "off "), (False, False, 0.005, "off!"), (False, True, 0.005, "off*!"),
+     (False, True, 0.001, "off*"), (True, True, 0.005, "on*"), (True, False, 0.005, "on ")],
+)  # fmt: skip
+def test_what_is_left_out_above_its_allowance_and_what_is_forced_is_marked_and_the_marks_are_explained(
+    on: bool, forced: bool, contribution: float, mark: str
+) -> None:
+    row, last = printed(on=on, forced=forced, contribution=contribution)
+    assert row.split("fog")[1].lstrip().startswith(mark.rstrip() + "  ")
+    assert ("! left out above its allowance" in last) == ("!" in mark)
+    assert ("* forced by name" in last) == ("*" in mark)
