@@ -36,7 +36,7 @@ def test_the_seed_reaches_the_camera_source_and_the_problem(capture: Path, monke
     assert seeds == [7]
 
 
-def test_a_run_depends_on_its_capture_its_set_and_the_files_of_its_settings(
+def test_a_run_depends_on_its_captures_its_set_and_the_files_of_its_settings(
     capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What was hashed when it was opened is what is hashed again: the same parts, and here the same values."""
@@ -51,6 +51,7 @@ def test_a_run_depends_on_its_capture_its_set_and_the_files_of_its_settings(
     torch.save(ZeroDce().state_dict(), weights)
     preset = adapted(EXPERIMENTS["demo"], methods=("zero-dce-gs",))
     config = replace(preset, settings={"enhance.weights": str(weights)}).reconstruct("zero-dce-gs")
+    config = replace(config, more=capture)
     found = []
     for change in (b"", b"more"):
         weights.write_bytes(weights.read_bytes() + change)
@@ -58,8 +59,17 @@ def test_a_run_depends_on_its_capture_its_set_and_the_files_of_its_settings(
             stages.reconstruct(capture, tmp_path / "run", config, QUIET)
         assert asked["inputs"]() == asked["opened"]
         found.append(asked["opened"])
-    assert found[0].keys() == found[1].keys() > {"capture", "set"}
-    assert {name for name in found[0] if found[0][name] != found[1][name]} == found[0].keys() - {"capture", "set"}
+    assert found[0].keys() == found[1].keys() > (same := {"capture", "set", "more"})
+    assert {name for name in found[0] if found[0][name] != found[1][name]} == found[0].keys() - same
+
+
+def test_the_seed_draws_the_views_that_nothing_is_trained_on(capture: Path) -> None:
+    opened = open_capture(capture)
+    count = len(opened.cameras.train_indices) - 2
+    first, again, *others = (reconstructing.holding_out(opened, count, seed) for seed in (3, 3, *range(4, 9)))
+    assert first.held == again.held
+    assert set(first.held) <= set(opened.cameras.train_indices)
+    assert len({other.held for other in (first, *others)}) > 1
 
 
 def test_every_training_view_is_prepared_with_all_that_is_known_of_it(capture: Path) -> None:
