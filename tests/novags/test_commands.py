@@ -1,6 +1,7 @@
 """Claims about single commands: options that belong together are taken together, or refused in one line."""
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -129,6 +130,67 @@ def test_a_dry_run_within_a_budget_says_every_line(
     said = capsys.readouterr().err
     assert "a trial" in said
     assert "settings" in said
+
+
+def test_a_comparison_lays_out_both_sides_runs_every_method_and_says_and_writes_every_row(
+    call: Call, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    from novags.commands.study import BELOW
+    from novags.testbed.study.versions import pairs, sides, verdict
+
+    laid, asked = list[str](), list[str]()
+    two = [
+        SimpleNamespace(role=role, said=f"the {role}", method=None, commit=commit, lay_out=partial(laid.append, role))
+        for role, commit in (("base", None), ("changed", "1234"))
+    ]
+
+    def fitted(_: Any, __: Any, words: dict[str, Any], *___: Any) -> list[Any]:
+        asked.extend(words)
+        return [SimpleNamespace(method=method) for method in words]
+
+    def judged(names: dict[str, str], found: list[Any]) -> Any:
+        (method,) = (pair.method for pair in found)
+        rows = [{"scene": scene, "difference": 1} for scene in ("cornell", "busts")]
+        said = [" less ".join(names.values()), f"{method} is judged"]
+        return SimpleNamespace(rows=rows, lines=lambda: said, record=dict, below=method == "nova")
+
+    monkeypatch.setattr(sides, "sides_of", lambda *_: two)
+    monkeypatch.setattr(pairs, "given", lambda *_: [])
+    monkeypatch.setattr(pairs, "fit_pairs", fitted)
+    monkeypatch.setattr(verdict, "ComparisonVerdict", judged)
+    out = tmp_path / "out"
+    words = ("compare", "one", "two", "--methods", "naive", "nova", "--captures", str(tmp_path), "--out", str(out))
+    assert call(*words, "--dry-run") == 0
+    planned = capsys.readouterr().err
+    assert all(f" {name} " in planned for name in ("code", "base", "changed", "logs", "compare.json", "compare.csv"))
+    assert not laid
+    assert call(*words) == BELOW
+    assert laid == ["base", "changed"]
+    assert asked == ["naive", "nova"]
+    said = capsys.readouterr().out
+    assert all(f"{name}:\nthe base less the changed\n{name} is judged\n" in said for name in asked)
+    assert (out / "compare.csv").read_text().splitlines()[1:] == [
+        f"{method},{scene},1" for method in asked for scene in ("cornell", "busts")
+    ]
+
+
+def test_a_comparison_takes_every_variant_and_bounds_every_seed(
+    call: Call, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    from novags.testbed.study.versions import pairs
+
+    seen = dict[str, Any]()
+    monkeypatch.setattr(pairs, "given", lambda *_: [])
+    monkeypatch.setattr(pairs, "fit_pairs", lambda _, __, words, *___: seen.update(words) or [])
+    texts = [f"{name}=naive:fit.dssim_weight={weight}" for name, weight in (("half", 0.5), ("most", 0.9))]
+    words = ("compare", "half", "most", *(word for text in texts for word in ("--variant", text)), "--captures",
+             str(tmp_path), "--out", str(tmp_path / "out"), "--seeds", "0")  # fmt: skip
+    assert call(*words) == 0
+    assert {name: list(told[-2:]) for name, told in seen.items()} == {
+        name: ["--variant", text] for name, text in zip(("half", "most"), texts, strict=True)
+    }
+    assert call(*words, "-1") == 2
+    assert "seed" in capsys.readouterr().err
 
 
 def test_a_reference_is_refused_where_it_would_choose_nothing(

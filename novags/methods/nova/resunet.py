@@ -43,7 +43,7 @@ class InstanceNorm(nn.InstanceNorm2d):
     def plain(self, x: Tensor) -> Tensor:
         """The same by torch's operators, on any device."""
         low, high = x.detach().amin((2, 3), keepdim=True), x.detach().amax((2, 3), keepdim=True)
-        constant = high - low <= CONSTANT * (1 + torch.maximum(high, -low))
+        constant = high - low <= CONSTANT * (1 + high.abs())
         return F.leaky_relu(torch.where(constant, 0.0, super().forward(x)), self.slope)
 
 

@@ -103,7 +103,7 @@ def lit_exposure(response: Response, radiance: Tensor, target: float) -> float:
         middle = (low + high) / 2
         too_dark = float((weights * response(logs + middle)).sum()) < target
         low, high = (middle, high) if too_dark else (low, middle)
-    return math.exp((low + high) / 2)
+    return math.exp(middle)
 
 
 @torch.no_grad()

@@ -96,7 +96,7 @@ def chosen_gamma(scene: GaussianScene, views: Views, target: float) -> float:
         shown = dataclasses.replace(scene, gaussians=lit(scene.gaussians, middle))
         means = [float(shown.render(view)[0].clamp(0, 1).mean()) for view in views.each()]
         low, high = (middle, high) if sum(means) / len(means) > target else (low, middle)
-    return (low + high) / 2
+    return middle
 
 
 def train(

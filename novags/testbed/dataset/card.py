@@ -42,7 +42,7 @@ def card(config: DatasetConfig, entries: Sequence[DatasetEntry], manifest: dict[
               "No two captures share the random numbers of noise (`noise_seed` in `index.csv`); the fixed pattern "
               "is the camera's, the same in all its captures.", ""]  # fmt: skip
     lines += ["| | values |", "| --- | --- |"]
-    for name in dict.fromkeys(name for entry in captures for name in entry.values):
+    for name in captures[0].values if captures else ():  # the axes of the file, which all have
         lines.append(f"| {name} | {_some([str(v) for v in dict.fromkeys(e.values[name] for e in captures)])} |")
     lines += [f"| seeds | {_some([str(s) for s in manifest['seeds']])} |", ""]
     lines += ["Simulated, and left out because the scene or the camera has none or it would not show:", "", *_effects(

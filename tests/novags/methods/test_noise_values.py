@@ -179,6 +179,18 @@ def test_light_of_raw_frames_is_zero_at_the_models_black_and_one_is_the_files_ra
     torch.testing.assert_close(variance, expected, check_dtype=False)
 
 
+def test_light_of_a_mosaic_is_unknown_in_the_channels_that_a_filter_hides_in_every_view() -> None:
+    noise = Noise(Variance(curve(0.0, 1.0)), Variance(curve(BLACK, WHITE)), "camera")
+    dn = BLACK + torch.arange(32.0).reshape(2, 4, 4)
+    light = measured_light(noise, replace(frames(dn), cfa="RGGB"), None, ()).light
+    red, blue = torch.zeros(4, 4, dtype=torch.bool), torch.zeros(4, 4, dtype=torch.bool)
+    red[::2, ::2], blue[1::2, 1::2] = True, True
+    seen = torch.stack([red, ~(red | blue), blue], -1).expand(2, 4, 4, 3)
+    assert torch.equal(~light.isnan(), seen)
+    unit = torch.tensor([500.0, 1000.0, 625.0])
+    torch.testing.assert_close(light[seen], ((dn - BLACK)[..., None] / unit)[seen])
+
+
 def test_points_begin_with_the_light_of_the_camera_behind_its_matrix() -> None:
     """The display shows matrix @ camera: of a mixing matrix the inverse leads back."""
     matrix = torch.tensor([[1.6, -0.4, -0.2], [-0.3, 1.5, -0.2], [0.1, -0.6, 1.5]])

@@ -4,12 +4,16 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
+from novags.testbed.folders import references
 from novags.testbed.ledger.store import files_of
 from novags.testing import DarkCapture
+from novags.testing.known import PosedViews
 from novags.testing.making import make_capture
 from simscenes import orbit_rig
 from simscenes.sets.multiview import write_cameras
@@ -39,6 +43,23 @@ def test_a_capture_is_small_dark_and_has_the_light_that_was_asked_for(dark_captu
     assert dark.train.linear.min() < 0  # noise around black is kept
     z = dark.points @ dark.train.viewmats[0, :3, :3].T + dark.train.viewmats[0, :3, 3]
     assert (z[:, 2] > 0).mean() > 0.9  # they lie before the cameras
+
+
+def test_pictures_and_truth_are_of_every_view(monkeypatch: pytest.MonkeyPatch) -> None:
+    def of(i: int, kind: str = "", shape: tuple[int, ...] = (2, 2, 3)) -> np.ndarray:
+        return np.full(shape, 10 * i + len(kind))
+
+    capture: Any = SimpleNamespace(srgb8=of, linear16=of, raw=of, clean_linear=of, truth=of)
+    source: Any = SimpleNamespace(views=SimpleNamespace(path="photographs"))
+    monkeypatch.setattr(references, "true_depth", lambda _, i: None if i == 5 else of(i, shape=(2, 2)))
+    parts: dict[str, Any] = {"viewmats": np.eye(4)[None], "Ks": np.eye(3)[None], "width": 2, "height": 2}
+    views = PosedViews(("b", "d"), **parts, _indices=(1, 3), _capture=capture, _source=source)
+    for found in (views.pictures, views.linear, views.raw, views.clean_linear, views.depth):
+        np.testing.assert_array_equal(found[:, 0, 0].reshape(2, -1)[:, 0], [10, 30])
+    np.testing.assert_array_equal(views.mean_dn[:, 0, 0, 0], [14, 34])
+    np.testing.assert_array_equal(views.variance_dn[:, 0, 0, 0], [18, 38])
+    with pytest.raises(ValueError, match="the depth of photographs is not known"):
+        _ = PosedViews(("b", "f"), **parts, _indices=(1, 5), _capture=capture, _source=source).depth
 
 
 def test_equal_arguments_are_one_capture_and_others_share_its_set(dark_capture: Make) -> None:

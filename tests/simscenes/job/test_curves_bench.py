@@ -53,8 +53,10 @@ def test_light_is_missing_against_the_same_paths_followed_further(
     bench: SceneBench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """View i lacks 1, 2, 4 % of its light, and twice that with the second seed."""
+    asked = list[tuple[int, int, int]]()
 
     def rendered(s: Setting, i: int, seed: int) -> tuple[np.ndarray, float, float]:
+        asked.append((i, s.max_depth, seed))
         lack = 0.0 if s.max_depth == 64 else 0.01 * 2**i * (seed - 39)
         assert s.spp == 16
         seconds = 100.0 if s.max_depth == 64 else 2.0 + i
@@ -62,8 +64,16 @@ def test_light_is_missing_against_the_same_paths_followed_further(
 
     monkeypatch.setattr(bench, "render", rendered)
     first, second = (bench.missing(Setting(spp=16, max_depth=3), seed) for seed in (40, 41))
+    assert asked == [(i, depth, seed) for seed in (40, 41) for i in range(3) for depth in (3, 64)]
     assert (first.error, second.error) == pytest.approx((0.07 / 3, 0.14 / 3))
     assert (first.seconds, first.cpu_seconds) == (3, 6)
+
+
+def test_a_view_is_prepared_with_its_seed(bench: SceneBench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(curves, "RenderedView", lambda method, rig, i: (method.seed, i))
+    monkeypatch.setattr(curves, "integrator", lambda *_: None)
+    mi, loaded = SimpleNamespace(variant=lambda: "scalar_rgb"), SimpleNamespace()
+    assert [bench.view(mi, loaded, DEFAULT, i, seed) for i, seed in ((0, 40), (2, 41))] == [(40, 0), (41, 2)]  # type: ignore[arg-type]
 
 
 def test_the_reference_is_deep_and_shares_no_random_numbers_with_what_is_measured(

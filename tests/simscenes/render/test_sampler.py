@@ -102,11 +102,22 @@ def test_the_lens_and_what_the_path_draws_are_independent() -> None:
 def test_points_within_a_sequence_do_not_follow_each_other_across_sets() -> None:
     """Film and lobe, say: over 64 points of 256 sequences their correlation is what chance leaves."""
     made = sampler(np.repeat(np.arange(256), 64), np.tile(np.arange(64), 256))
-    film, _light, lobe, direction = (f() for f in (made.next_2d, made.next_2d, made.next_1d, made.next_2d))
-    columns = [np.array(film)[0], np.array(film)[1], np.array(lobe), np.array(direction)[0]]
+    order = (made.next_2d, made.next_2d, made.next_1d, made.next_2d, made.next_1d)
+    film, _light, lobe, direction, roulette = (np.array(draw()) for draw in order)
+    columns = [film[0], film[1], lobe, direction[0], roulette]
     found = np.stack([np.corrcoef([c[k * 64 : k * 64 + 64] for c in columns]) for k in range(256)])
-    assert np.abs(found.mean(0) - np.eye(4)).max() < 5 / 8 / 16
-    assert found.std(0)[np.triu_indices(4, 1)][1:] == pytest.approx(1 / 8, rel=0.5)  # no two of them are always alike
+    assert np.abs(found.mean(0) - np.eye(5)).max() < 5 / 8 / 16
+    assert found.std(0)[np.triu_indices(5, 1)][1:] == pytest.approx(1 / 8, rel=0.5)  # no two of them are always alike
+
+
+def test_points_of_a_set_lie_in_their_strata_independently() -> None:
+    """Halves of 16 strata, over 1024 sequences: correlations have a standard error of 1/32."""
+    made = sampler(np.repeat(np.arange(1024), 16), np.tile(np.arange(16), 1024))
+    for draw in (made.next_2d, made.next_2d, made.next_1d, made.next_2d, made.next_1d):
+        for points in np.array(draw()).reshape(-1, 1024, 16):
+            places = np.sort(points, axis=1) * 16 - np.arange(16)
+            found = np.corrcoef((places < 0.5).T) - np.eye(16)
+            assert np.abs(found).max() < 5 / 32
 
 
 @pytest.mark.parametrize("count", [64, 100, 256])

@@ -85,6 +85,7 @@ def test_a_sculpture_is_turned_enlarged_and_moved_with_its_normals() -> None:
     stone.add((0.05, 0.02, 0.25), (0.2, 0.1, 0.15))
     plain, moved = stone.mesh(grey(), (0, 0, 0)), stone.mesh(grey(), (1.0, 2.0, 3.0), 90.0, 2.0)
     at, normals = (traversed(plain, name) for name in ("vertex_positions", "vertex_normals"))
+    np.testing.assert_allclose([at.min(0), at.max(0)], [(-0.15, -0.08, 0.1), (0.25, 0.12, 0.4)], atol=0.025)
     turned = np.stack([-2 * at[:, 1] + 1, 2 * at[:, 0] + 2, 2 * at[:, 2] + 3], -1)
     np.testing.assert_allclose(traversed(moved, "vertex_positions"), turned, atol=1e-5)
     expected = np.stack([-normals[:, 1], normals[:, 0], normals[:, 2]], -1)

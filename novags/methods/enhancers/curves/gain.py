@@ -23,7 +23,7 @@ def _gain_of(code: Array, config: GainConfig) -> Array:
             high = middle
         else:
             low = middle
-    return np.exp(np.array([(low + high) / 2]))
+    return np.exp(np.array([middle]))
 
 
 def _by_gain(code: Array, config: GainConfig, params: Array) -> Array:

@@ -91,7 +91,7 @@ def forward(begin, end, x, slope, y, mean, scale):
             for c in range(size):
                 total[c] += part[c]
         for c in range(size):
-            constant = high[c] - low[c] <= CONSTANT * (1 + max(high[c], -low[c]))
+            constant = high[c] - low[c] <= CONSTANT * (1 + abs(high[c]))
             factor[c] = 0 if constant else 1 / np.sqrt(total[c] / pixels + EPS)
         for p in range(pixels):
             row, out = x[b, p, begin:end], y[b, p, begin:end]

@@ -86,7 +86,7 @@ def test_variances_are_those_at_the_true_mean_and_not_at_noisy_values(captures: 
 
 
 def test_a_pixel_without_noise_counts_as_a_share_of_the_noisiest_and_none_divides_by_zero() -> None:
-    clean = torch.tensor([0.0, 0.5, 1.0]).reshape(1, 1, 3, 1).expand(1, 2, 3, 3)
+    clean = torch.tensor([[0.0, 0.1, 0.2], [0.0, 0.5, 1.0]]).reshape(2, 1, 3, 1).expand(2, 2, 3, 3)
     for slope in (4.0, 0.0):
         noise: Any = lambda mean, slope=slope: slope * mean  # noqa: E731
         variances = np.stack(list(trainer._exposures(clean + 0.1, clean, noise, "noisy")[1]))

@@ -1,7 +1,7 @@
 """Enhancers applied to pictures: once a view, the noise-free twin by the noisy one's parameters."""
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -119,3 +119,31 @@ def test_what_was_enhanced_otherwise_is_not_taken_for_the_same(change, tmp_path,
     assert calls == [None, "params", *again]
     factor = {"settings": 6, "weights": 4}.get(change, 2)
     torch.testing.assert_close(view[0], asked["dark"] * factor)
+
+
+@pytest.mark.parametrize("change", ["nothing", "views", "pictures", "settings", "weights"])
+def test_parameters_are_those_of_these_views_pictures_settings_and_weights(change, tmp_path, monkeypatch):
+    file, calls = tmp_path / "weights", []
+    file.write_text("2")
+
+    def counted(dark: torch.Tensor, config: Brighter, params: Any, noise: Any) -> tuple[torch.Tensor, Any]:
+        calls.append(config)
+        return dark, len(calls)
+
+    monkeypatch.setattr(applying, "enhancer_of", lambda config: ("counted", SimpleNamespace(enhance=counted)))
+    one = problem(linear16=problem().srgb8)
+    config, pictures, other = Brighter((file,)), "8bit", one
+    assert applying.parameters_of_all(one, config, pictures) == [1, 2, 3]
+    match change:
+        case "views":
+            other = replace(one, names=("a", "b", "c"))
+        case "pictures":
+            pictures = "16bit"
+        case "settings":
+            config = replace(config, times=3.0)
+        case "weights":
+            os.utime(file, ns=(1, 1))
+    again = [1, 2, 3] if change == "nothing" else [4, 5, 6]
+    for name, dark, params in zip(other.names, other.encoded(pictures), again, strict=True):
+        assert applying.parameters(other.shared, name, dark, config, pictures, None) == params
+    assert applying.parameters_of_all(other, config, pictures) == again

@@ -9,6 +9,7 @@ import torch
 from novags.methods.nova import denoiser as module
 from novags.methods.nova.denoiser import Denoiser, donut_blur
 from novags.methods.nova.denoiser_config import BlindSpotConfig, DenoiserConfig, ResUNetConfig
+from novags.splats.training.flags import Flags
 
 TINY = ResUNetConfig(widths=(4,), bottleneck=4, normalization="none")
 
@@ -163,9 +164,12 @@ def test_a_denoiser_that_never_trains_may_still_be_asked_for_a_step():
     assert subject.optimizer.param_groups[0]["lr"] == 1e-3
 
 
-def test_another_seed_is_another_network_and_other_batches():
+@pytest.mark.parametrize("flags", [None, Flags(torch.device("cpu"))], ids=["on a CPU", "as on a GPU"])
+def test_another_seed_is_another_network_and_other_batches(flags):
     images = views(8)
-    first, second = denoiser(images, seed=1), denoiser(images, seed=2)
+    first, second = (
+        Denoiser(images, DenoiserConfig(network=TINY), total_steps=10, seed=s, flags=flags) for s in (1, 2)
+    )
     assert not torch.equal(first.network.head.weight, second.network.head.weight)
     batches = [torch.cat([d._draw_batch() for _ in range(8)]) for d in (first, second)]
     assert not torch.equal(*batches)

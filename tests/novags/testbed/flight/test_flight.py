@@ -111,6 +111,12 @@ def test_a_frame_holds_whole_pixels_and_is_even() -> None:
     assert (made[5:330:10, 263:368:10] == codes[:, :11]).all()
 
 
+def test_the_highest_picture_of_a_film_need_not_be_the_first() -> None:
+    low, high = (CaptionedPicture(np.zeros((rows, 40, 3), np.float32), "a", "") for rows in (900, 9000))
+    assert frame([low, high]).shape == frame([high, low]).shape
+    assert max(frame([low, high]).shape) <= 8190
+
+
 @pytest.mark.parametrize("shape", [(300, 4000, 3), (9000, 40, 3)])
 def test_pictures_too_large_for_a_film_are_shrunk_alike(tmp_path: Path, shape: tuple[int, ...]) -> None:
     """Rationale: three photographs of a telephone side by side were refused, as if OpenCV could not write .mp4."""

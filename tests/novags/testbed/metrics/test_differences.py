@@ -91,6 +91,14 @@ def test_an_error_says_what_it_is_over_and_how_many() -> None:
     assert estimate({}) is None
 
 
+def test_seeds_and_views_are_counted_where_they_are_most() -> None:
+    small, large = values(np.ones((1, 1, 1))), {("other", *key[1:]): x for key, x in values(np.ones((1, 3, 2))).items()}
+    for both in (small | large, large | small):
+        found = estimate(both)
+        assert found is not None
+        assert (found.scenes, found.seeds, found.views) == (2, 3, 2)
+
+
 def test_only_what_both_have_is_compared() -> None:
     one = {("s", "0", "a"): 3.0, ("s", "0", "b"): 5.0, ("s", "0", "c"): float("inf")}
     other = {("s", "0", "a"): 1.0, ("s", "0", "b"): 2.0, ("s", "0", "c"): 9.0, ("s", "0", "d"): 9.0}

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from novags.testbed.report.grid import Line, first_places, lines_of, main_column, shown_columns, verdict
+from novags.testbed.report.grid import Line, first_places, lines_of, main_column, over_scenes, shown_columns, verdict
 
 PSNR, LIT = "enhanced.aligned_psnr", "lit.tone_aligned_psnr"
 AXES = {"scene": ("s", "t"), "electrons": (5, 50), "method": ("a", "b"), "seed": (0, 1)}
@@ -66,3 +66,55 @@ def test_the_verdict_counts_every_place() -> None:
     said = verdict(lines_of(table, AXES, COMPETES), COMPETES)
     assert said.startswith("b comes first in 2 of 3 comparisons by")
     assert "; a in 1." in said
+
+
+def test_the_score_that_decides_is_one_that_every_line_with_scores_has() -> None:
+    both, lit, none = {PSNR: (20.0, None), LIT: (20.0, None)}, {LIT: (20.0, None)}, dict[str, Any]()
+    for spreads, main in (((both, lit), LIT), ((lit, both), LIT), ((none, both), PSNR), ((both, none), PSNR)):
+        assert main_column([Line({}, "a", [], dict(spread)) for spread in spreads]) == main
+    assert main_column([Line({}, "a", [])]) is None
+
+
+def test_a_method_that_sees_no_truth_is_told_of_though_another_one_is_listed_first() -> None:
+    competes = {"a": False, "b": True}
+    found = lines_of([row for row in rows() if row["scene"] == "t"], AXES, competes)
+    assert [line.method for line in found] == ["a", "b"] * 2
+    assert verdict(found, competes).startswith("Nowhere do two methods that see no truth compete")
+    assert verdict(found, {"a": False, "b": False}) == "Only methods that see truth were run."
+
+
+def test_the_views_of_every_seed_are_values_of_a_line() -> None:
+    table = rows()[:2]
+    scores: dict[int, dict[str, Any]] = {
+        row["run"]: {"mean": {"enhanced": {"aligned_psnr": row[PSNR]}},
+                     "views": {"0": {"enhanced": {"aligned_psnr": row[PSNR] - 1}},
+                               "1": {"enhanced": {"aligned_psnr": row[PSNR] + 1}}}} for row in table
+    }  # fmt: skip
+    (line,) = lines_of(table, AXES, COMPETES, scores=scores)
+    assert line.values[PSNR] == {
+        ("s", "0", "0"): 19.0, ("s", "0", "1"): 21.0, ("s", "1", "0"): 21.0, ("s", "1", "1"): 23.0,
+    }  # fmt: skip
+    scores[2]["views"].pop("1")  # scored again since
+    (line,) = lines_of(table, AXES, COMPETES, scores=scores)
+    assert line.values[PSNR] == {("s", "0", "0"): 19.0, ("s", "0", "1"): 21.0, ("s", "1", ""): 22.0}
+
+
+def test_scenes_are_gathered_where_all_else_is_alike() -> None:
+    found = over_scenes(lines_of(rows(), AXES, COMPETES), PSNR)
+    assert found.keys() == {"electrons 5", "electrons 50"}
+    for methods in found.values():
+        assert {name: {scene for scene, _, _ in own} for name, own in methods.items()} == {
+            "a": {"s", "t"},
+            "b": {"s", "t"},
+        }
+
+
+def test_scores_that_disagree_are_named_wherever_the_best_method_stands() -> None:
+    """The first line of all is of the other method."""
+    table = [row | {LIT: 10.0 + 2 * (row["method"] == "b")} for row in rows()
+             if (row["scene"], row["electrons"]) != ("s", 50)]  # fmt: skip
+    lines = lines_of(table, AXES, COMPETES)
+    assert lines[0].method == "b"
+    said = verdict(lines, COMPETES)
+    assert said.startswith("a comes first in 2 of 3 comparisons")
+    assert said.endswith("there b comes first in 3 of 3, a in 0.")

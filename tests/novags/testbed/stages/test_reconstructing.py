@@ -2,7 +2,7 @@
 
 import io
 import json
-from dataclasses import replace
+from dataclasses import make_dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -15,6 +15,7 @@ from novags.methods.enhancers.networks.zero_dce import ZeroDce
 from novags.testbed import stages
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import open_capture
+from novags.testbed.folders.run import place_along
 from novags.testbed.stages import reconstructing
 from novags.testbed.stages.configs import reconstructing as module
 from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
@@ -36,7 +37,7 @@ def test_the_seed_reaches_the_camera_source_and_the_problem(capture: Path, monke
     assert seeds == [7]
 
 
-def test_a_run_depends_on_its_capture_its_set_and_the_files_of_its_settings(
+def test_a_run_depends_on_its_captures_its_set_and_the_files_of_its_settings(
     capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What was hashed when it was opened is what is hashed again: the same parts, and here the same values."""
@@ -51,6 +52,7 @@ def test_a_run_depends_on_its_capture_its_set_and_the_files_of_its_settings(
     torch.save(ZeroDce().state_dict(), weights)
     preset = adapted(EXPERIMENTS["demo"], methods=("zero-dce-gs",))
     config = replace(preset, settings={"enhance.weights": str(weights)}).reconstruct("zero-dce-gs")
+    config = replace(config, more=capture)
     found = []
     for change in (b"", b"more"):
         weights.write_bytes(weights.read_bytes() + change)
@@ -58,8 +60,17 @@ def test_a_run_depends_on_its_capture_its_set_and_the_files_of_its_settings(
             stages.reconstruct(capture, tmp_path / "run", config, QUIET)
         assert asked["inputs"]() == asked["opened"]
         found.append(asked["opened"])
-    assert found[0].keys() == found[1].keys() > {"capture", "set"}
-    assert {name for name in found[0] if found[0][name] != found[1][name]} == found[0].keys() - {"capture", "set"}
+    assert found[0].keys() == found[1].keys() > (same := {"capture", "set", "more"})
+    assert {name for name in found[0] if found[0][name] != found[1][name]} == found[0].keys() - same
+
+
+def test_the_seed_draws_the_views_that_nothing_is_trained_on(capture: Path) -> None:
+    opened = open_capture(capture)
+    count = len(opened.cameras.train_indices) - 2
+    first, again, *others = (reconstructing.holding_out(opened, count, seed) for seed in (3, 3, *range(4, 9)))
+    assert first.held == again.held
+    assert set(first.held) <= set(opened.cameras.train_indices)
+    assert len({other.held for other in (first, *others)}) > 1
 
 
 def test_every_training_view_is_prepared_with_all_that_is_known_of_it(capture: Path) -> None:
@@ -84,24 +95,29 @@ def test_every_training_view_is_prepared_with_all_that_is_known_of_it(capture: P
 def test_a_run_has_a_camera_of_every_training_view_and_a_picture_of_every_view(
     capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The method is one that trains nothing."""
-    opened, drawn = open_capture(capture), list[tuple[int, Any]]()
+    """The method is one that trains nothing, and shows another scene after 5 iterations."""
+    opened, drawn, along = open_capture(capture), list[tuple[int, Any]](), list[tuple[Path, int, Any]]()
     config = replace(adapted(EXPERIMENTS["demo"], seed=7).reconstruct("naive"), points=50)
     prepared = reconstructing.prepare(opened, opened.source(QUIET), config, QUIET)
-    result = SimpleNamespace(viewmats=None, save=lambda folder: None, space="lit", enhancement=None, found=None,
-                             config=config.config, scene=SimpleNamespace(facts=dict), seconds={}, enhanced=None,
-                             along={}, targets=None)  # fmt: skip
+    values = {"viewmats": None, "save": lambda folder: None, "space": "lit", "enhancement": None, "found": None,
+              "config": config.config, "scene": SimpleNamespace(facts=dict), "seconds": {}, "enhanced": None,
+              "along": {5: "earlier"}, "targets": None}  # fmt: skip
+    result = make_dataclass("Result", values)(**values)
     method = SimpleNamespace(parts=None, train=lambda *_, **__: result, sees_clean=False, sees_surface=False)
     monkeypatch.setattr(reconstructing, "METHODS", {"naive": method})
-    monkeypatch.setattr(
-        reconstructing, "write_rendering", lambda folder, capture, i, result, view: drawn.append((i, view))
-    )
+
+    def shown(folder: Path, capture: Any, i: int, result: Any, view: Any) -> None:
+        drawn.append((i, view)) if folder == tmp_path else along.append((folder, i, result.scene))
+
+    monkeypatch.setattr(reconstructing, "write_rendering", shown)
     record = reconstructing.reconstruct_views(opened, prepared, tmp_path, config, QUIET)
     train = [opened.names[i] for i in opened.cameras.train_indices]
     listed = json.loads((tmp_path / "cameras.json").read_text())
     assert [camera["img_name"] for camera in listed] == train == record["cameras"]["registered"]
     assert len({str(camera["position"]) for camera in listed}) == len(train)
     assert [i for i, _ in drawn] == list(range(len(opened.names)))
+    assert along == [(place_along(tmp_path, 5), i, "earlier") for i in opened.cameras.test_indices]
+    assert len(along) > 1
     for i, view in drawn:
         np.testing.assert_allclose(view.viewmats[0], opened.cameras.rig.viewmats[i], atol=1e-5)
     assert (record["seed"], record["training_views"]) == (7, len(train))

@@ -60,6 +60,17 @@ def test_a_capture_of_a_given_set_is_refused_before_another_set_is_rendered(
         place.run(preset, tmp_path / "out", QUIET)
 
 
+def test_every_folder_of_an_experiment_is_asked_whether_it_holds_other_results(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = dict[str, Any]()
+    monkeypatch.setattr(place, "refuse_other", lambda folder, _, request: asked.update({folder.name: request}))
+    preset = adapted(EXPERIMENTS["demo"], methods=("naive", "oracle", "nova"))
+    place._refuse_other(preset, tmp_path)
+    runs = {name: preset.reconstruct(name).resolved() for name in preset.methods}
+    assert asked == {"set": preset.render.resolved(), "capture": preset.capture.resolved(), **runs}
+
+
 TINY = {"scene": "cornell", "n_views": 9, "width": 24, "height": 24, "spp": 4, "points": 60, "iterations": 6}
 
 

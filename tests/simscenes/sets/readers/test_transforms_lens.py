@@ -12,7 +12,8 @@ import pytest
 from simscenes import load_set, orbit_rig
 from simscenes.rigs import opencv_to_opengl
 from simscenes.sets.pictures.png import write_png
-from simscenes.sets.readers.photographs import transforms_lens
+from simscenes.sets.readers.lens import DistortedPinhole
+from simscenes.sets.readers.photographs import rig_of, transforms_lens
 
 WIDTH, HEIGHT = 40, 30
 X, Y = 0.9, 0.5  # rad
@@ -135,3 +136,14 @@ def test_masks_are_not_used_and_that_is_said_once_with_their_count(tmp_path: Pat
         f"load_set: 1 of 2 frames of {tmp_path}/transforms.json have a mask (mask_path): masks are not used, all "
         "pixels count"
     ]
+
+
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_a_lens_that_folds_the_corners_of_its_picture_is_said_whichever_camera_has_it(order: tuple[int, int]) -> None:
+    K = np.array([[33.0, 0, WIDTH / 2], [0, 33.0, HEIGHT / 2], [0, 0, 1]])
+    lenses = [DistortedPinhole(K=K, distortion=(k1, 0.0, 0.0, 0.0, 0.0)) for k1 in (-0.1, -0.4)]
+    assert [lens.folded(WIDTH, HEIGHT) > 0 for lens in lenses] == [False, True]
+    viewmats = orbit_rig(2, WIDTH, HEIGHT, 50.0, radius=3.0).viewmats
+    with pytest.warns(UserWarning, match=r"the distortion that there states turns \d+ px from the centre"):
+        _, found = rig_of((0, 1), viewmats, order, Path("there"), lambda k, *_: lenses[k], (WIDTH, HEIGHT))
+    assert found == tuple(lenses[k] for k in order)

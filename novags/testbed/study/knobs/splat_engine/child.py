@@ -39,7 +39,7 @@ def measure(knob: str, setting: Any, changed: bool, n: int, size: int, seed: int
     if bits == 64:
         scene = {name: value.double() for name, value in scene.items()}
     shape = [scene[name].requires_grad_() for name in NAMES]
-    weights = torch.rand(size, size, 3, dtype=scene["means"].dtype, generator=torch.Generator().manual_seed(seed))
+    weights = torch.ones(size, size, 3, dtype=scene["means"].dtype)
 
     def once() -> None:
         top = 0

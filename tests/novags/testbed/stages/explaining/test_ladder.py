@@ -1,5 +1,6 @@
 """Claims about the ladder: errors decide what is said, and what cannot be tried is named with its reason."""
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -8,9 +9,25 @@ import pytest
 
 from novags.cameras import parse_cameras
 from novags.methods.variant import Variant
+from novags.testbed.console.terminal import Console
+from novags.testbed.folders.run import EXPLAINED
+from novags.testbed.ledger.contents import jsonable
 from novags.testbed.metrics.differences import Estimate
+from novags.testbed.stages.configs.command import CommandConfig
 from novags.testbed.stages.configs.reconstructing import ReconstructConfig
-from novags.testbed.stages.explaining.ladder import Ladder, _ladder, changes_of
+from novags.testbed.stages.explaining import ladder as module
+from novags.testbed.stages.explaining.ladder import (
+    RECORD,
+    TABLE,
+    Ladder,
+    _ladder,
+    cases_of,
+    changes_of,
+    explain,
+    forecast,
+    made,
+)
+from novags.testbed.stages.explaining.more import MORE
 from novags.testbed.stages.explaining.swaps import SWAPS, Case, NotSwapped
 
 
@@ -51,14 +68,14 @@ def test_what_was_not_replaced_is_printed_with_its_reason() -> None:
     assert ladder().record()["not_swapped"] == {"colours": "not defined"}
 
 
-def case(tmp_path: Path, *, imported: bool = False, cameras: str = "known", **scores: Any) -> Case:
+def case(tmp_path: Path, *, imported: bool = False, cameras: str = "known", seed: int = 0, **scores: Any) -> Case:
     """A run of naive, of which nothing is on disk."""
     config = ReconstructConfig(variant=Variant(name="naive", method="naive"), cameras=parse_cameras(cameras))
     capture = SimpleNamespace(
         imported=imported, holds=lambda part: not imported, record=SimpleNamespace(simulated=None), path=tmp_path
     )
     source = SimpleNamespace(scaled=False, views=SimpleNamespace(kind="photographs", meta={}, geometry=lambda i: None))
-    run = SimpleNamespace(path=tmp_path, name="naive", method="naive", record={"seed": 0})
+    run = SimpleNamespace(path=tmp_path, name="naive", method="naive", record={"seed": seed})
     values = {"tone_aligned_psnr": 21.0, "psnr": 20.0}
     found = Case(run, capture, source, {"mean": {"enhanced": values}, "views": {"0": {"enhanced": values}}} | scores)  # type: ignore[arg-type]
     vars(found)["config"] = config
@@ -106,3 +123,54 @@ def test_a_program_is_not_made_again_and_the_reason_is_said(tmp_path: Path) -> N
 @pytest.mark.parametrize("name", SWAPS)
 def test_every_row_says_its_truth(name: str) -> None:
     assert SWAPS[name].truth
+
+
+def test_every_run_that_is_explained_is_forecast_with_its_own_seconds(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of more views, a set and a capture are made as well."""
+    cases = [case(tmp_path / name) for name in "ab"]
+    for k, each in enumerate(cases, 1):
+        each.run.record["stage"] = {"seconds": k}
+        each.capture.record.stage = {"seconds": 10 * k}
+        each.source.views.meta["stage"] = {"seconds": 100 * k}
+    changes = {"points": cases[0].config, "views": replace(cases[0].config, more=tmp_path), "colours": NotSwapped("no")}
+    monkeypatch.setattr(module, "changes_of", lambda *_: changes)
+    wanted = {each.folder(name): seconds for k, each in enumerate(cases, 1)
+              for name, seconds in (("points", k), ("views", k + MORE * 110 * k))}  # fmt: skip
+    assert forecast(cases, list(changes)) == wanted
+
+
+def test_the_ladder_of_each_run_is_written_and_the_one_of_all_is_over_their_seeds(tmp_path: Path) -> None:
+    cases = [case(tmp_path / str(seed), seed=seed) for seed in (3, 4)]
+    found = explain(cases, ["tone", "colours"], Console(quiet=True))
+    assert made(cases) == [each.run.path / EXPLAINED / name for each in cases for name in (RECORD, TABLE)]
+    assert all(path.exists() for path in made(cases))
+    assert (found.won["tone"].value, found.won["tone"].seeds) == (1.0, 2)
+    assert list(cases[1].values(cases[1].scores)) == [("", "4/", "0")]
+    assert found.not_swapped.keys() == {"colours"}
+
+
+def test_runs_of_two_methods_and_of_one_seed_are_not_explained_together(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def opened(path: Path) -> Any:
+        own = case(path)
+        return SimpleNamespace(name=path.name, path=path, record={"seed": 0}, scores=lambda: own.scores,
+                               inputs=lambda _: (own.capture, own.source))  # fmt: skip
+
+    monkeypatch.setattr(module, "score", lambda *_: None)
+    monkeypatch.setattr(module, "open_run", opened)
+    with pytest.raises(ValueError, match="must be of one method, got naive, nova"):
+        cases_of([tmp_path / "naive", tmp_path / "nova"], Console(quiet=True))
+    with pytest.raises(ValueError, match="must differ in their seeds"):
+        cases_of([tmp_path / "naive", tmp_path / "b" / "naive"], Console(quiet=True))
+
+
+def test_a_program_is_found_among_all_that_are_known(tmp_path: Path) -> None:
+    programs = [CommandConfig(name=name, command="ls {capture} {out}", folder=tmp_path) for name in ("ours", "theirs")]
+    known = case(tmp_path)
+    record = {"seed": 5, "stage": {"config": jsonable(replace(programs[1], seed=5).resolved())}}
+    run: Any = SimpleNamespace(path=tmp_path, name="theirs", method="theirs", record=record)
+    found = Case(run, known.capture, known.source, known.scores, tuple(programs)).program
+    assert (found.name, found.seed) == ("theirs", 5)

@@ -119,3 +119,18 @@ def test_every_training_picture_counts_beside_its_own_truth(tmp_path: Path, monk
     each = [gaussian_blur(truth[k] + off, scoring.BLUR_SIGMA) for k, off in ((1, 0.1), (3, 0.2))]
     mean = np.mean([psnr(image, truth[k]) for image, k in zip(each, (1, 3), strict=True)])
     assert found["blur"]["psnr"] == pytest.approx(mean, abs=0.05)
+
+
+def test_along_a_fit_every_held_out_view_counts_against_every_reference(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        scoring,
+        "view_scores",
+        lambda run, capture, lit, i, *_: {kind: {"psnr": 10.0 * i + k} for k, kind in enumerate(("lit", "enhanced"))},
+    )
+    run: Any = SimpleNamespace(space="lit", at=20)
+    capture: Any = SimpleNamespace(names=("0", "1", "2", "3"), cameras=SimpleNamespace(test_indices=(1, 3)))
+    found = scoring.score_along(run, capture, capture)
+    assert found["iterations"] == 20
+    assert found["views"]["3"] == {"lit": {"psnr": 30.0}, "enhanced": {"psnr": 31.0}}
+    assert list(found["views"]) == ["1", "3"]
+    assert found["mean"] == {"lit": {"psnr": 20.0}, "enhanced": {"psnr": 21.0}}

@@ -84,6 +84,16 @@ def test_every_part_that_a_knob_acts_on_has_its_time(made: Any) -> None:
         assert point["parts"] == {"fit": 2.0, "denoiser": 3.0}
 
 
+@pytest.mark.parametrize("lacking", [0, 1])
+def test_a_part_that_any_repetition_lacks_has_no_time(made: Any, lacking: int) -> None:
+    knob = replace(made.subject(8).knobs[2], parts=("fit", "denoiser"))
+    parts = [{"fit": 2.0 + 2 * seed} | ({} if seed == lacking else {"denoiser": 3.0}) for seed in (0, 1)]
+    rows = [made.row("lone", setting, seed, Reading(1.0, 1.0, 1.0, parts[seed]))
+            for setting in knob.settings for seed in (0, 1)]  # fmt: skip
+    for point in curves(Subject("s", {}, (knob,)), rows):
+        assert point["parts"] == {"fit": 3.0}
+
+
 def test_the_curves_of_other_subjects_stay_in_the_file(made: Any, tmp_path: Path) -> None:
     points = made.curves(1)
     other = [{**point, "knob": point["knob"].replace("made", "other")} for point in points]

@@ -58,6 +58,29 @@ def test_constants_are_changed_where_the_machine_code_is_a_settings_own(
     assert turned == ([("exp2_degree", 5)] if changed else [])
 
 
+@pytest.mark.parametrize(("knob", "setting"), [("exp2_degree", 5), ("float_bits", 64)], ids=["drawn", "plain"])
+def test_a_picture_is_of_the_scene_of_its_seed(
+    knob: str, setting: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Against the same picture its error is nothing."""
+
+    def draw(scene: dict[str, torch.Tensor], *_: Any, **__: Any) -> torch.Tensor:
+        shade: Any = sum(scene[name].sum() for name in NAMES)
+        return shade * torch.ones(8, 8, 3)
+
+    monkeypatch.setattr(child, "draw", draw)
+    monkeypatch.setattr(child, "fastest", lambda call, times: (0.0, 0.0))
+    for seed, other in ((3, 4), (4, 3)):
+        shown = reference(6, 8, seed, exact=False, bits=64) if knob == "float_bits" else draw(cube_scene(6, 8, seed))
+        np.save(tmp_path / f"{seed}.npy", shown.numpy())
+        truth = str(tmp_path / f"{seed}.npy")
+        errors = [
+            child.measure(knob, setting, changed=False, n=6, size=8, seed=each, truth=truth)["error"]
+            for each in (seed, other)
+        ]
+        assert errors[0] == 0 < errors[1]
+
+
 @pytest.mark.parametrize("supersampled", [False, True])
 def test_the_truth_of_another_seed_is_another_picture(
     supersampled: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -1,11 +1,13 @@
 """Claims about the verdict of a comparison: it says what the paired differences show, and no more."""
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import t
 
 from novags.testbed.study.versions.pairs import Fit, FittedCase, Pair
 from novags.testbed.study.versions.verdict import ComparisonVerdict
@@ -65,7 +67,9 @@ def test_what_scatters_more_than_it_gains_is_no_difference_and_says_what_would_b
     found = verdict(0.02, sd=0.5)
     assert found.headline.startswith("No difference is seen: ")
     least = float(found.headline.rpartition("is ")[2].split()[0])
-    assert least > 2 * found.whole[0]["error"]
+    row = found.whole[0]
+    # Beyond the interval of 95 %, as far as four of five estimates lie above their truth less that.
+    assert least == float(f"{(t.ppf(0.975, row['freedom']) + t.ppf(0.8, row['freedom'])) * row['error']:.2g}")
     assert not found.below
 
 
@@ -116,3 +120,24 @@ def test_two_enhancements_are_not_compared_with_one_reference() -> None:
     for pair in found.pairs:
         pair.changed.run.record["enhancement"] = {"enhancer": "other", "config": {}}
     assert {row["score"] for row in found.rows} == {"lit.tone_aligned_psnr"}
+
+
+def test_every_pair_counts_for_costs_and_every_scene_is_told_of() -> None:
+    pairs = list[Pair]()
+    for k, pair in enumerate(verdict(0.2).pairs):
+        pair.base.run.peak_bytes, pair.changed.run.peak_bytes = (1 + k) * 1_000_000, (1 + k) * 2_000_000  # type: ignore[misc]
+        pairs.append(replace(
+            pair, base=replace(pair.base, cpu_seconds=10.0 + k), changed=replace(pair.changed, cpu_seconds=20.0 + 2 * k)
+        ))  # fmt: skip
+    found = ComparisonVerdict(NAMES, pairs)
+    record = found.record()
+    assert record["cost"] == {
+        "base": {"cpu_seconds": 12.5, "peak_bytes": 6_000_000},
+        "changed": {"cpu_seconds": 25.0, "peak_bytes": 12_000_000},
+    }
+    scenes = [f"scene {k}" for k in range(3)]
+    assert [(each["scene"], each["noise"]) for each in record["pairs"]] == [(s, seed) for s in scenes for seed in "01"]
+    said = "\n".join(found.lines())
+    assert all(f", {scene}\n" in said for scene in scenes)
+    assert "6 pairs of fits" in said
+    assert "12 (changed) and 6 (base) MB" in said

@@ -1,6 +1,7 @@
 """The table of differences: which runs are paired, what they are said to be apart, and what a study can see."""
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -70,21 +71,37 @@ def test_runs_that_lack_an_axis_for_scenes_and_seeds_are_of_this_scene(tmp_path:
     assert float(found[0]["difference"]) == pytest.approx(2.0)
 
 
+def test_methods_are_paired_where_every_other_axis_is_alike(tmp_path: Path) -> None:
+    places = [{"electrons": electrons, "camera": camera} for electrons, camera in ((5, "x"), (5, "y"), (50, "x"))]
+    axes = {"electrons": (5, 50), "camera": ("x", "y"), "scene": ("s",), "method": ("naive", "mine"), "seed": (0,)}
+    table = [replace(each, place={**each.place, **place}) for place in places
+             for each in (finished("s", 0, "naive"), finished("s", 0, "mine"))]  # fmt: skip
+    write_differences(tmp_path, axes, table)
+    with (tmp_path / DIFFERENCES).open() as file:
+        found = [each for each in csv.DictReader(file) if each["score"] == "lit.tone_aligned_psnr"]
+    assert list(found[0])[:4] == ["electrons", "camera", "scene", "score"]
+    assert [(each["electrons"], each["camera"], each["views"], float(each["difference"])) for each in found] == [
+        ("5", "x", "3", 1.0), ("5", "y", "3", 1.0), ("50", "x", "3", 1.0)
+    ]  # fmt: skip
+
+
 def test_a_study_says_the_smallest_difference_that_it_can_see() -> None:
     """More scenes see more, and one run of one view nothing."""
     scatter = Scatter(scenes=0.5, seeds=0.2, views=0.3)
 
-    def said(scenes: int, seeds: int, views: int) -> str:
+    def said(scenes: int, seeds: int, *views: int) -> str:
         cells: Any = [
             SimpleNamespace(
-                preset=SimpleNamespace(render=SimpleNamespace(n_views=views), folder=None, photos=None, dark=None)
+                preset=SimpleNamespace(render=SimpleNamespace(n_views=count), folder=None, photos=None, dark=None)
             )
+            for count in views
         ]
         return foreseen({"scene": range(scenes), "seed": range(seeds)}, cells, scatter)
 
     found = [float(said(scenes, 2, 20).split()[2]) for scenes in (2, 4, 12)]
     assert found == sorted(found, reverse=True)
     assert "on scenes like these, four times in five (4 scenes, 2 seeds, 3 held-out views)" in said(4, 2, 20)
+    assert said(4, 2, 40, 20, 30) == said(4, 2, 20)  # of cells with several numbers of views the fewest count
     assert "on this scene" in said(1, 2, 20)
     assert said(1, 1, 8) == (
         "no difference between methods, of 1 scene, 1 seed, 1 held-out view: nothing repeats, and so no error is known"
