@@ -32,10 +32,13 @@ def test_exposures_are_even_in_stops_up_to_the_spread_and_belong_to_seed_and_vie
     assert factors(seed=1, views=7, exposure_spread=1.5) != factors(views=7, exposure_spread=1.5)
 
 
-def test_one_kind_changes_no_draw_of_another() -> None:
+def test_one_kind_changes_no_draw_of_another_and_tells_nothing_of_it() -> None:
     both = factors(views=9, exposure_spread=1.0, white_balance_spread=40.0)
     assert both.exposures == factors(views=9, exposure_spread=1.0).exposures
     assert both.balances == factors(views=9, white_balance_spread=40.0).balances
+    many = factors(views=2000, exposure_spread=1.0, white_balance_spread=40.0)
+    pair = np.log2(many.exposures), np.log2([red / blue for red, _, blue in many.balances])
+    assert abs(np.corrcoef(pair)[0, 1]) < 5 / np.sqrt(2000)
 
 
 def test_two_exposures_are_interleaved() -> None:

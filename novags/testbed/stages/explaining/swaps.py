@@ -139,9 +139,10 @@ def noise(case: Case) -> Again:
     if not case.capture.holds("truth"):
         raise NotSwapped(f"of this capture {MISSING['truth']}")
     if case.run.method not in METHODS:
+        program = case.program
         if case.capture.record.uneven.exposures:
             raise NotSwapped("programs get views as taken, and noise-free ones are known of the common exposure alone")
-        return replace(case.program, given="noise")
+        return replace(program, given="noise")
     if METHODS[case.config.variant.method].sees_clean:
         raise NotSwapped(f"{case.run.name} is given the noise-free exposures already")
     return replace(case.config, given="noise")
