@@ -11,9 +11,8 @@ from simscenes.backend import activate, backend_of, using_variant
 from simscenes.loading.load import build_scene
 from simscenes.render.radiance import RenderedView, RenderMethod
 from simscenes.scenes import SCENES
-from simscenes.transport.plan import TransportPlan
 from simscenes.transport.effects import _is_chromatic
-from simscenes.transport.plan import MADE_UP
+from simscenes.transport.plan import MADE_UP, TransportPlan
 from simscenes.transport.planner import everything_on
 
 SceneMaker = Callable[..., dict[str, Any]]
