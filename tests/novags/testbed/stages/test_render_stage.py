@@ -132,7 +132,7 @@ def test_the_seed_reaches_the_plan_and_the_pictures(tmp_path: Path, monkeypatch:
         given.append(seed)
         raise ValueError("far enough")
 
-    monkeypatch.setattr("simscenes.transport.plan_transport", noted)
+    monkeypatch.setattr(importlib.import_module("simscenes.transport.planner"), "plan_transport", noted)
     monkeypatch.setattr(importlib.import_module("simscenes.job.render_set"), "render_set", noted)
     config = RenderConfig(scene="cornell", seed=7)
     with pytest.raises(ValueError, match="far enough"):
