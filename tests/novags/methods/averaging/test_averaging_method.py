@@ -89,7 +89,7 @@ def test_a_pixel_without_noise_counts_as_a_share_of_the_noisiest_and_none_divide
     clean = torch.tensor([0.0, 0.5, 1.0]).reshape(1, 1, 3, 1).expand(1, 2, 3, 3)
     for slope in (4.0, 0.0):
         noise: Any = lambda mean, slope=slope: slope * mean  # noqa: E731
-        variances = np.stack(list(trainer._exposures(clean + 0.1, clean, noise, "noisy")[1]))
+        variances = np.stack(list(trainer._exposures(clean + 0.1, clean, [noise], "noisy")[1]))
         most = max(slope, LEAST)
         assert variances.min() == pytest.approx(LEAST * most)
         assert variances.max() == pytest.approx(slope or LEAST * LEAST)

@@ -162,7 +162,7 @@ def test_a_fit_of_enhanced_pictures_loses_little_by_exposures_and_white_balance_
 
 
 def test_methods_with_one_noise_for_all_views_refuse_several_exposures_by_name(folder: Path, tmp_path: Path) -> None:
-    for name, said in (("nova-plus", "nova-plus knows one noise"), ("denoise-gs", "denoising knows one noise")):
+    for name, said in (("nova-plus", "likelihood knows one noise"), ("denoise-gs", "denoising knows one noise")):
         preset = adapted(EXPERIMENTS["demo"], methods=(name,), iterations=20, points=500, device="cpu")
         config = preset.reconstruct(name)
         for capture in (open_capture(folder / "spread"), open_capture(folder / "bracket")):
