@@ -106,7 +106,7 @@ class CaptureConfig:
         layouts. Settings of `AS_ONE` are among them where they change something.
         """
         kept = {name: value for name, value in asdict(self).items()
-                if name != "export" and AS_ONE.get(name) != value}  # fmt: skip
+                if name != "export" and (name, value) not in AS_ONE.items()}  # fmt: skip
         truth = {"truth": "three channels"} if self.camera.cfa else {}  # earlier versions kept the mosaic alone
         return kept | truth | {"sensor": self.sensor_name}
 
