@@ -54,7 +54,7 @@ def exposures(problem: Problem, noise: Noise, held_share: float) -> LightMeasure
     Raises:
         LacksInput: As `measured_light` says, and for views of several exposures.
     """
-    refuse_uneven(problem.exposures, "a fit by the likelihood of the data")
+    refuse_uneven(problem.exposures, "a fit of data by their likelihood")
     shared = problem.channels_share + problem.pixels_share
     found = problem_light(problem, noise, shared)
     generator = torch.Generator().manual_seed(problem.seed)

@@ -123,7 +123,8 @@ class CaptureConfig:
         layouts. Settings of `AS_ONE` are among them where they change something.
         """
         own = ("export", "dark_frames", "measured")
-        kept = {name: value for name, value in asdict(self).items() if name not in own and AS_ONE.get(name) != value}
+        kept = {name: value for name, value in asdict(self).items()
+                if name not in own and (name, value) not in AS_ONE.items()}  # fmt: skip
         kept |= dict(self.measured)
         truth = {"truth": "three channels"} if self.camera.cfa else {}  # earlier versions kept the mosaic alone
         return kept | truth | {"sensor": self.sensor_name}

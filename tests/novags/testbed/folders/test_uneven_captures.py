@@ -1,7 +1,7 @@
 """Captures whose views were not taken alike: what is written, who understands it, and who refuses it by name."""
 
 import json
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -53,7 +53,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_request_says_what_it_asks_for_alone(folder: Path) -> None:
-    assert not AS_ONE.keys() & CaptureConfig().resolved().keys()
+    names = {field.name for field in fields(CaptureConfig)}
+    assert CaptureConfig().resolved().keys() == names - {"export"} - AS_ONE.keys()  # as of versions without them
     for name, how in WAYS.items():
         asked = CaptureConfig(**how).resolved()
         assert {key: asked[key] for key in AS_ONE.keys() & asked.keys()} == how
@@ -149,23 +150,25 @@ def test_a_fit_in_linear_light_that_knows_the_exposures_loses_little_and_one_tha
 ) -> None:
     even, uneven = open_capture(folder / "even"), open_capture(folder / way)
     alike, known = (shown("raw-gs", capture, capture, tmp_path / capture.path.name) for capture in (even, uneven))
+    unknown = shown("raw-gs", blind(uneven), uneven, tmp_path / "blind")
+    print(f"raw-gs, {way}: {alike:.2f} dB, told {known:.2f}, not told {unknown:.2f}")  # for docs/captures.md
     assert known > alike - 0.8  # by which views happen to be shorter
-    assert shown("raw-gs", blind(uneven), uneven, tmp_path / "blind") < known - 1.0
+    assert unknown < known - 1.0
 
 
-def test_a_fit_of_enhanced_pictures_loses_little_by_exposures_and_white_balance_that_differ(
+def test_a_fit_of_enhanced_pictures_loses_little_even_if_it_is_not_told_the_exposures(
     folder: Path, tmp_path: Path
 ) -> None:
     captures = [open_capture(folder / name) for name in ("even", "spread", "cast")]
     alike, *others = (shown("naive", capture, capture, tmp_path / capture.path.name) for capture in captures)
-    assert min(others) > alike - 0.8  # likewise
+    # the enhancement brings every view to one brightness by itself
+    unknown = shown("naive", blind(captures[1]), captures[1], tmp_path / "blind")
+    print(f"naive: {alike:.2f} dB, told {others[0]:.2f}, not told {unknown:.2f}")
+    assert min(*others, unknown) > alike - 0.8  # likewise
 
 
 def test_methods_with_one_noise_for_all_views_refuse_several_exposures_by_name(folder: Path, tmp_path: Path) -> None:
-    for name, said in (
-        ("nova-plus", "likelihood of the data knows one noise"),
-        ("denoise-gs", "denoising knows one noise"),
-    ):
+    for name, said in (("nova-plus", "likelihood knows one noise"), ("denoise-gs", "denoising knows one noise")):
         preset = adapted(EXPERIMENTS["demo"], methods=(name,), iterations=20, points=500, device="cpu")
         config = preset.reconstruct(name)
         for capture in (open_capture(folder / "spread"), open_capture(folder / "bracket")):

@@ -159,9 +159,8 @@ def test_the_noise_has_the_seed_of_the_capture_whatever_camera_is_chosen(
     seed: int, config: CaptureConfig | None, known: bool
 ) -> None:
     own = PRESETS["a7s2-iso6400-3chip"] if known else None
-    record = SimpleNamespace(
-        simulated=SimpleNamespace(noise_seed=seed), color_matrix=None, demosaic="menon", exposure=Exposure(time=1.0)
-    )
+    told = SimpleNamespace(noise_seed=seed)
+    record = SimpleNamespace(simulated=told, color_matrix=None, demosaic="menon", exposure=Exposure(time=1.0))
     capture: Any = SimpleNamespace(record=record, sensor=own, imported=None)
     source: Any = SimpleNamespace(color_matrix=None, response=None)
     camera = ViewerCamera.of(capture, source, config)
