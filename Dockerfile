@@ -1,6 +1,6 @@
 # novags on a processor:
 #   docker build -t novags --build-arg TORCH_INDEX=ADDRESS .     ADDRESS: the index that pytorch.org gives for pip and CPU;
-#   docker run --rm -v "$PWD/out:/work/out" novags run           without it, torch comes with CUDA, several GB
+#   docker run --rm -v "$PWD/out:/novags-work/out" novags run           without it, torch comes with CUDA, several GB
 FROM python:3.11-slim
 # libLLVM: for Mitsuba's fast variants.
 ARG TORCH_INDEX=
@@ -11,7 +11,7 @@ COPY novags novags
 COPY simscenes simscenes
 COPY sensor_model sensor_model
 RUN PIP_EXTRA_INDEX_URL=$TORCH_INDEX pip install --no-cache-dir .
-WORKDIR /work
+WORKDIR /novags-work
 ENV NUMBA_CACHE_DIR=/opt/novags-kernels
 RUN python -m novags.warm
 ENTRYPOINT ["novags"]
