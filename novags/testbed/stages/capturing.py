@@ -207,16 +207,9 @@ def capture_views(
                     measured=light.measured,
                 )  # fmt: skip
                 write_view(
-                    folder,
-                    name,
-                    frame,
-                    sensor,
-                    config.demosaic,
-                    source.color_matrix,
-                    config.jpeg_quality,
-                    clean_rgb=clean,
-                    seen_by=uneven.seen_by(sensor, i),
-                )
+                    folder, name, frame, sensor, config.demosaic, source.color_matrix, config.jpeg_quality,
+                    clean_rgb=clean, seen_by=uneven.seen_by(sensor, i),
+                )  # fmt: skip
             progress(i + 1, len(names), f"view {name}")
     write_cameras(
         folder, names, source.rig, points=source.points(), held_out=source.views.test_indices, scene=source.views.scene

@@ -41,7 +41,7 @@ from sensor_model.presets import ASSUMED_QE, DAYLIGHT
 RULE = 0.1  # DN/e- at ISO 100 and 14 bits: "Noise modelling in one hour", 5 % off for the A7S II
 HELD_OUT = 4  # of so many dark frames one is kept for the test
 ENOUGH = 8  # frames for a test, and for maps
-NOISE_PROFILE, WHITE = 51041, 50717  # tags of DNG
+NOISE_PROFILE, BLACK, WHITE = 51041, 50714, 50717  # tags of DNG
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,7 +128,7 @@ def _setting(folder: Path, notes: Path, window: int, maps: bool) -> MeasuredSett
     if frames.flat:
         sensor, found, assumed = *_measured(frames, folder, notes), dict[str, str]()
     else:
-        found, assumed = None, _assumed(frames, folder)
+        found, assumed = None, _assumed(frames)
         sensor = _in_the_dark(frames, largest, assumed, notes)
     told = _maps(frames, sensor, folder) if maps else None
     sensor = sensor if told is None else replace(sensor, defects=None)  # the hot pixels are in the maps
@@ -168,7 +168,7 @@ def _measured(frames: Frames, folder: Path, notes: Path) -> tuple[Sensor, Charac
         return sensor_from_dict(measured | {"cfa": frames.cfa} | of_colour | frames.camera), found
 
 
-def _assumed(frames: Frames, folder: Path) -> dict[str, str]:
+def _assumed(frames: Frames) -> dict[str, str]:
     """Where fields come from that dark frames do not show and frames.toml does not give."""
     rules = {"gain": f"{RULE:g} DN/e- at ISO 100 and 14 bits, and proportional to both", "eta": "a usual sensor's",
              "mu_e_sat": "the converter saturates first"}  # fmt: skip
@@ -268,8 +268,8 @@ def _profile(folder: Path) -> float | None:
         for path in listed(place)[:1]:
             tags: dict[int, list[float]] = {}
             for found in directories(path) if path.suffix.lower() == ".dng" else ():
-                tags |= {tag: found.numbers(tag) for tag in (NOISE_PROFILE, WHITE, 50714) if found.numbers(tag)}
+                tags |= {tag: found.numbers(tag) for tag in (NOISE_PROFILE, BLACK, WHITE) if found.numbers(tag)}
             if len(tags.get(NOISE_PROFILE, ())) >= 2 and tags.get(WHITE):
                 stated = tags[NOISE_PROFILE]
-                return float(stated[2 if len(stated) >= 6 else 0] * (tags[WHITE][0] - np.mean(tags.get(50714, [0]))))
+                return float(stated[2 if len(stated) >= 6 else 0] * (tags[WHITE][0] - np.mean(tags.get(BLACK, [0]))))
     return None

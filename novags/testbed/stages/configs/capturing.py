@@ -96,6 +96,11 @@ class CaptureConfig:
         if self.export:
             raise ValueError(f"export must be empty where exposure or white balance differs by view, which the layouts "
                              f"{', '.join(self.export)} cannot state")  # fmt: skip
+        if self.dark_frames is not None and (self.exposure_spread or self.bracket):
+            raise ValueError(
+                "dark_frames must be left out where exposure times differ by view: they were taken at one time, got "
+                f"exposure_spread {self.exposure_spread:g} and bracket {self.bracket:g}"
+            )
         ends = self.time * 2.0**-self.exposure_spread, self.time * 2.0 ** (self.exposure_spread + self.bracket)
         if (self.exposure_spread or self.bracket) and not TIMES[0] <= ends[0] < ends[1] <= TIMES[1]:
             raise ValueError(f"time must leave the exposures of all views in {TIMES} s, the range of their raw files, "

@@ -223,3 +223,21 @@ def test_a_run_takes_them_too(photographs: Path, tmp_path: Path, call, capsys) -
     args = ["run", "--scene", str(photographs), "--sensor", "a7s2-iso6400", "--dark-frames", str(tmp_path / "dark")]
     assert call(*args, "--methods", "naive", "--iterations", "2", "--out", str(tmp_path / "out")) != 0
     assert "dark frames must be 4 or more, got 3" in "".join(capsys.readouterr())
+
+
+@pytest.mark.parametrize("how", [{"exposure_spread": 1.0}, {"bracket": 2.0}])
+def test_frames_of_one_exposure_time_are_refused_where_times_differ_by_view(how: dict, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="dark_frames must be left out where exposure times differ by view"):
+        CaptureConfig(sensor="a7s2-iso6400", dark_frames=write_dark(tmp_path / "dark"), **how)
+
+
+def test_every_frame_of_a_burst_draws_a_dark_frame_of_its_own(photographs: Path, tmp_path: Path) -> None:
+    folder = write_dark(tmp_path / "dark", n=40)
+    for name, burst in (("one", 1), ("burst", 16)):
+        taken(photographs, tmp_path / name, dark_frames=folder, burst=burst)
+    one, burst = (open_capture(tmp_path / name) for name in ("one", "burst"))
+    for capture, frames in ((one, 1), (burst, 16)):
+        error = np.stack([capture.raw(i) - capture.truth(i, "mean") for i in range(len(capture.names))])
+        expected = np.stack([capture.truth(i, "variance") for i in range(len(capture.names))])
+        assert error.var() == pytest.approx(expected.mean(), rel=0.25), frames
+    assert burst.truth(0, "variance").mean() < one.truth(0, "variance").mean() / 10
