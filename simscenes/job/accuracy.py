@@ -13,32 +13,46 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from simscenes.render.sequences import mean_at_most
 from simscenes.transport.plan import MOTION, POSES_PER_PIXEL, UNIT, TransportPlan
 
+# Standard errors, of a mean of squares. The estimate scatters about the noise to be expected, and the error of the
+# picture at hand does as much: three standard errors of each, together.
+AT_MOST = 3 * math.sqrt(2)
 SHARED = math.sqrt(0.5)  # of a target that the bias may take at most, before samples alone would have to pay twice
 
 
-def noise_by_brightness(channels: dict[str, NDArray[Any]]) -> list[float]:
-    """Relative RMSE by noise within each quarter of a view's pixels, darkest first.
+def noise_limits(channels: dict[str, NDArray[Any]]) -> list[float]:
+    """Relative RMSE of pixels by noise, at most: of a view, then of each quarter of its pixels, darkest first.
+
+    The variance of every pixel is its own, from its two halves: a variance that neighbours share (var.R/G/B) gives the
+    dark pixels at an edge the noise of the bright ones. Scatter of the estimate is added, see `AT_MOST`.
 
     Args:
-        channels: R, G, B and var.R, var.G, var.B of the view.
+        channels: R, G, B and half.R, half.G, half.B of the view.
     """
-    light, variance = (np.stack([channels[p + c] for c in "RGB"], -1, dtype=np.float64).mean(-1).ravel()
-                       for p in ("", "var."))  # fmt: skip
+    light = np.stack([channels[c] for c in "RGB"], -1, dtype=np.float64).mean(-1).ravel()
+    square = np.square(np.stack([channels[f"half.{c}"] for c in "RGB"], -1, dtype=np.float64)).mean(-1).ravel()
+    order = np.argsort(light, kind="stable")
     found = []
-    for chosen in np.array_split(np.argsort(light, kind="stable"), 4):
+    for chosen in (order, *np.array_split(order, 4)):
         level = float(light[chosen].mean()) if chosen.size else 0.0
-        found.append(float(np.sqrt(variance[chosen].mean())) / level if level > 0 else 0.0)
+        limit = mean_at_most(square[chosen], AT_MOST) if level > 0 else 0.0
+        found.append(math.sqrt(limit) / level if level > 0 else 0.0)
     return found
 
 
-def claimed(noise: float, quarters: list[float], made: TransportPlan) -> dict[str, Any]:
-    """The errors of a view in set.json: noise and omitted light, together; nan where a plan was not asked."""
-    whole, *parts = made.bias
-    both = [math.hypot(n, b) for n, b in zip(quarters, parts, strict=True)]
-    return {"relative_error": noise, "error": math.hypot(noise, whole), "noise_by_brightness": quarters,
-            "error_by_brightness": both}  # fmt: skip
+def claimed(noise: float, limits: list[float], made: TransportPlan) -> dict[str, Any]:
+    """The errors of a view in set.json; nan where a plan was not asked.
+
+    Args:
+        noise: The relative RMSE by noise, as it was estimated.
+        limits: `noise_limits` of the view: what it is at most, whole and by brightness.
+        made: The plan, whose omitted light is added.
+    """
+    whole, *parts = (math.hypot(n, b) for n, b in zip(limits, made.bias, strict=True))
+    return {"relative_error": noise, "error": whole, "noise_by_brightness": limits[1:],
+            "error_by_brightness": parts}  # fmt: skip
 
 
 def noise_target(target: float, made: TransportPlan) -> float:
@@ -81,4 +95,4 @@ def summary(views: dict[str, dict[str, Any]]) -> str:
         return (
             f"noise {worst['relative_error']:.2%} (omitted light was not measured), {dark:.2%} in the darkest quarter"
         )
-    return f"error {max(errors):.2%} (noise {worst['relative_error']:.2%}), {dark:.2%} in the darkest quarter"
+    return f"error at most {max(errors):.2%} (noise {worst['relative_error']:.2%}), {dark:.2%} in the darkest quarter"

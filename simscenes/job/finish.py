@@ -44,15 +44,13 @@ class ViewStore:
 
     def __init__(self, folder: Path, rig: Rig, camera: str | None) -> None:
         self.folder = folder
-        self.color = None if camera is None else camera_color(camera)
-        self._white = RunningQuantile(BELOW_WHITE, len(rig) * rig.height * rig.width)
+        self.rig, self.color = rig, None if camera is None else camera_color(camera)
 
     def put(self, i: int, channels: dict[str, NDArray[Any]]) -> None:
-        """Keep the needed channels of view `i`, once: R, G, B and Z, float32 [h,w]."""
+        """Keep the needed channels of view `i`: R, G, B and Z, float32 [h,w]. The last ones count."""
         light = np.stack([channels[c] for c in "RGB"], -1)
         if self.color is not None:
             light = light @ np.linalg.inv(self.color.matrix).T.astype(np.float32)
-        self._white.add(light.max(-1))
         _save(self.folder / f"{i}.light.npy", light)
         _save(self.folder / f"{i}.depth.npy", channels["Z"])
 
@@ -66,7 +64,10 @@ class ViewStore:
 
     def exposure_scale(self) -> float:
         """One exposure for the set, once all its views are in."""
-        return exposure_scale(self._white.value())
+        white = RunningQuantile(BELOW_WHITE, len(self.rig) * self.rig.height * self.rig.width)
+        for i in range(len(self.rig)):
+            white.add(self.light(i).max(-1))
+        return exposure_scale(white.value())
 
 
 def _loaded(path: Path) -> NDArray[np.float32]:

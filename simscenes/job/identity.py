@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from simscenes.rigs import Rig
 from simscenes.sets.pictures.exr import read_exr
 
 VIEW_KEY = "novagsKey"
+LEAST = "leastSpp"  # beside it, where other views of the set decided how many samples the view has at least
 CLAIMS = ("seconds", "tolerance", "rms")  # parts of a plan that only state how accurate and how costly it is
 SPENT = "seconds.json"  # cost of an unfinished job so far; not in the EXRs, whose bytes must not depend on the clock
 
@@ -71,12 +73,15 @@ def seconds_spent(out: Path, digest: str) -> dict[str, float]:
         return {}  # not interrupted, or in the middle of writing this; it only adds to a sum
 
 
-def finished_view(path: Path, key: str) -> tuple[dict[str, NDArray[Any]], dict[str, Any]] | None:
-    """Channels and header of a view that was rendered before with the same settings, else None."""
+def finished_view(path: Path, key: Callable[[int], str]) -> tuple[dict[str, NDArray[Any]], dict[str, Any]] | None:
+    """Channels and header of a view that was rendered before with the same settings, else None.
+
+    `key` gives the view's identity for the samples that it had to have at least.
+    """
     if not path.is_file():
         return None
     try:
         channels, header = read_exr(path)
     except ValueError:
         return None  # cut short by a crash of the machine: rendered again
-    return (channels, header) if header.get(VIEW_KEY) == key else None
+    return (channels, header) if header.get(VIEW_KEY) == key(int(header.get(LEAST, 0))) else None

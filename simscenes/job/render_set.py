@@ -48,10 +48,11 @@ MOST_TRUTH = 1024  # times the samples
 # measurements, up to a minute, are a tenth of that.
 MEASURE_FROM = 3 * 10**8
 ERROR_SEEN = (
-    "relative_error is the spread between two or more independent passes: noise only; half.R/G/B is half the "
-    "difference of two, var.R/G/B their variance over 3 x 3 pixels, 9 degrees of freedom. error adds the light left "
-    "out by the plan, at most (left_out: the whole picture, then its quarters by brightness, darkest first). Neither "
-    "sees a caustic that no pass found, nor spectra that RGB stands for; see plan."
+    "relative_error estimates the noise from two independent halves of the samples; half.R/G/B is half their "
+    "difference, var.R/G/B its square over 3 x 3 pixels, 9 degrees of freedom. noise_by_brightness is the noise at "
+    "most, of each quarter of the pixels, darkest first; error and error_by_brightness add the light left out by the "
+    "plan, at most (left_out: the whole picture, then its quarters). None sees a caustic that no sample found, nor "
+    "spectra that RGB stands for; see plan."
 )
 
 

@@ -86,8 +86,11 @@ class RenderedView:
         """Whether the variant has no wavefronts: it renders whole pictures, each stratified in itself."""
         return self.method.variant.startswith("scalar")
 
-    def render(self, spp: int | None, target_error: float | None, tick: Tick = lambda part: None) -> Radiance:
-        """Render with `spp` samples in every pixel, or until the relative RMSE of the view is `target_error`.
+    def render(
+        self, spp: int | None, target_error: float | None, tick: Tick = lambda part: None, least: int = 0
+    ) -> Radiance:
+        """Render with `spp` samples in every pixel, or until the relative RMSE of the view is `target_error`, and not
+        before every pixel has `least`.
 
         The error seen is the difference between two independent halves of the samples: noise only. It cannot see light
         that both lack, such as light beyond the maximal path depth, or a caustic that neither has found yet.
@@ -104,6 +107,7 @@ class RenderedView:
             return self.samples.result()
         s, wanted = self.samples, FIRST * self.predict_spp(target_error)
         self._draw(s.lacking(PILOT_PART * wanted, self._even), lambda part: tick(PILOT_PART * part))
+        self._draw(s.even(least))
         shares, each = self._foreseen()
         wanted = min(FIRST * (each / target_error) ** 2, MAX_SPP)
         while s.error(margin=MARGIN) > target_error:

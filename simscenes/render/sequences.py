@@ -122,9 +122,8 @@ class Sequences:
         The margin is for stopping rules: where few pixels have most of the noise, the first estimate below a target
         tends to be an underestimate.
         """
-        each = self.variance().mean(-1)
-        more = margin * each.std() / np.sqrt(each.size)
-        return relative_error(self.mean(), each + more)
+        level = float(self.mean().mean())
+        return math.sqrt(mean_at_most(self.variance().mean(-1), margin)) / level if level > 0 else 0.0
 
     def result(self) -> Radiance:
         """Mean, variance of the mean, and relative error of the whole view."""
@@ -132,6 +131,11 @@ class Sequences:
 
     def _means(self) -> NDArray[np.float64]:
         return self.sums / np.maximum(self.count, 1)[..., None]
+
+
+def mean_at_most(values: NDArray[np.float64], margin: float) -> float:
+    """Mean of independent values, and `margin` of its standard errors more."""
+    return float(values.mean() + margin * values.std() / np.sqrt(values.size))
 
 
 def relative_error(mean: NDArray[np.float64], variance: NDArray[np.float64]) -> float:

@@ -72,7 +72,8 @@ def _tail(p: Pilot, kind: str, depth: int, deepest: int, most: float) -> pilot.S
     """The light that a cut at `depth` omits, from pilots that end at `deepest`."""
     full = p.cut(kind, deepest, deepest)
     if depth < deepest:
-        return pilot.beyond(pilot.missing_light(full, p.cut(kind, depth, deepest)), deepest - depth, most)
+        found, later = pilot.missing_light(full, p.cut(kind, depth, deepest)), _tail(p, kind, deepest, deepest, most)
+        return pilot.beyond(found, later, deepest - depth, most)
     half = deepest // 2
     found = pilot.missing_light(full, p.cut(kind, half, deepest))
     if deepest > DEEPEST:  # light that fades more slowly than `most` is seen to do so
@@ -80,9 +81,8 @@ def _tail(p: Pilot, kind: str, depth: int, deepest: int, most: float) -> pilot.S
         earlier = found.estimate - later.estimate
         if 0 < later.estimate < earlier:
             most = max(most, (later.estimate / earlier) ** (2 / half))
-    last = pilot.beyond(found, half, most)
-    rest = last.upper - found.upper
-    return pilot.Share(0.0, rest, pilot.scaled(found.rms, rest, found.upper))
+    more = most**half / (1 - most**half)  # of a geometric series, what follows its first `half` terms
+    return pilot.Share(0.0, more * found.upper, tuple(more * value for value in found.rms))
 
 
 def roulette_effect(p: Pilot, media: bool, depth: int, measure: bool, scale: float = 1.0) -> tuple[int, Effect]:

@@ -22,7 +22,7 @@ from simscenes.rigs import Rig
 
 SPECULAR = 0x8 | 0x10 | 0x20 | 0x40 | 0x80 | 0x100  # BSDFFlags: glossy and delta lobes, which polarise
 MOST_SURVIVE = 0.95  # the largest survival probability of Mitsuba's roulette, however bright a path is
-MOST_BOOKED = 1 << 24  # entries of the account at once: 64 MB
+MOST_BOOKED = 1 << 25  # entries of the account at once: 128 MB
 
 
 @dataclass(frozen=True)
@@ -30,8 +30,8 @@ class Lengths:
     """The light that paths of a pilot found.
 
     Attributes:
-        light: Radiance, mean over the channels, by paths of k + 1 segments in `light[k]`, [length,c,h,w,1]. A lamp seen
-            directly has one segment, direct light two.
+        light: Radiance by paths of k + 1 segments in `light[k]`, [length,2,c,h,w,3], from two independent halves of the
+            samples. A lamp seen directly has one segment, direct light two.
         chained: Mean radiance that two specular lobes in a row passed on to the camera: only there can polarisation be
             seen.
     """
@@ -51,27 +51,27 @@ def light_by_length(
         rig: The pilot views.
         longest: Path length at which all paths end, Mitsuba's `max_depth`.
         rr_depth: Path length from which roulette may end them.
-        spp: Samples per pixel.
+        spp: Samples per pixel, an even number.
         seed: Of the random numbers.
     """
     pixels, views = rig.width * rig.height, range(len(rig))
     sensors = [mi.load_dict(sensor_dict(mi, rig, i, loaded)) for i in views]
-    seeds = [view_seed(rig, i, seed, 0) for i in views]
-    light, chained = np.zeros((longest, len(rig) * pixels)), 0.0
-    step = max(1, MOST_BOOKED // (longest * spp))
-    for start in range(0, light.shape[1], step):
-        chosen = slice(start, min(start + step, light.shape[1]))
+    seeds = [view_seed(rig, i, seed, half) for half in range(2) for i in views]
+    light, chained = np.zeros((longest, 2, len(rig) * pixels, 3)), 0.0
+    step = max(1, MOST_BOOKED // (3 * longest * spp))
+    for start in range(0, light.shape[2], step):
+        chosen = slice(start, min(start + step, light.shape[2]))
         booked, passed = _follow(mi, loaded.scene, sensors, seeds, chosen, longest, rr_depth, spp)
-        light[:, chosen] = booked
-        chained += passed / (light.shape[1] * spp)
-    return Lengths(light.reshape(longest, len(rig), rig.height, rig.width, 1), chained)
+        light[:, :, chosen] = booked
+        chained += passed / (light.shape[2] * spp)
+    return Lengths(light.reshape(longest, 2, len(rig), rig.height, rig.width, 3), chained)
 
 
 def _follow(
     mi: Any, scene: Any, sensors: list[Any], seeds: list[int], chosen: slice, longest: int, rr_depth: int, spp: int
 ) -> tuple[NDArray[np.float64], float]:
-    """Mean light by length of some pixels of all views, [length,pixel], and the sum of light that specular chains
-    passed on.
+    """Mean light by length of some pixels of all views, [length,2,pixel,3], and the sum of light that specular chains
+    passed on. The `seeds` are those of all views for one half of the samples, then for the other.
 
     All views share one launch: preparing a launch takes longer than tracing the samples of a pilot.
     """
@@ -87,10 +87,14 @@ def _follow(
     place = first + lane // each
     view = place // of_view
     pixel = place - view * of_view
-    seed = dr.gather(mi.UInt32, from_numpy(mi.UInt32, np.array(seeds, dtype=np.uint32)), view)
-    sampler = sampler_class(mi, mi.variant())(pixel, lane % each, seed)
+    number = lane % each
+    half = number // (each // 2)
+    every = from_numpy(mi.UInt32, np.array(seeds, dtype=np.uint32))
+    seed = dr.gather(mi.UInt32, every, half * dr.opaque(mi.UInt32, len(sensors)) + view)
+    sampler = sampler_class(mi, mi.variant())(pixel, number - half * (each // 2), seed)
     ray, weight = _rays(mi, sensors, sampler, pixel, view)
-    account = dr.zeros(mi.Float, longest * lanes)  # a lane's light by length, then by lane: no two lanes meet in it
+    # A lane's light by length, then by channel, then by lane: no two lanes meet in it.
+    account = dr.zeros(mi.Float, longest * 3 * lanes)
     chain = dr.zeros(mi.Float, lanes)
 
     def balanced(this: Any, other: Any) -> Any:
@@ -100,9 +104,9 @@ def _follow(
 
     def book(light: Any, length: Any, active: Any, passed: Any) -> None:
         """Write light down under its length, and to the specular chain if that `passed` it on."""
-        mean = (light.x + light.y + light.z) / 3
-        dr.scatter_add(account, mean, (length - 1) * width + lane, active)
-        dr.scatter_add(chain, mean, lane, active & passed)
+        for k in range(3):
+            dr.scatter_add(account, light[k], ((length - 1) * 3 + k) * width + lane, active)
+        dr.scatter_add(chain, (light.x + light.y + light.z) / 3, lane, active & passed)
 
     def bounce(
         active: Any, ray: Any, through: Any, eta: Any, length: Any, drawn: Any, before: Any, pdf: Any, delta: Any,
@@ -157,8 +161,10 @@ def _follow(
     dr.eval(account, chain, real)
     # Mitsuba drops the light of a path that has passed through everything it met and left a scene without a sky.
     counts = np.array(real)
-    booked = (np.array(account).reshape(longest, lanes) * counts).reshape(longest, count, spp)
-    return booked.mean(-1, dtype=np.float64), float(np.array(chain, dtype=np.float64)[counts].sum())
+    booked = (np.array(account).reshape(longest, 3, lanes) * counts).reshape(longest, 3, count, 2, spp // 2)
+    return booked.mean(-1, dtype=np.float64).transpose(0, 3, 2, 1), float(
+        np.array(chain, dtype=np.float64)[counts].sum()
+    )
 
 
 def _rays(mi: Any, sensors: list[Any], sampler: Any, pixel: Any, view: Any) -> tuple[Any, Any]:

@@ -6,6 +6,7 @@ paths, cut at another depth, followed through fog or past it, with or without po
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -21,6 +22,7 @@ from simscenes.loading.load import LoadedScene, build_scene
 from simscenes.loading.reference import SceneRef
 from simscenes.render.radiance import view_seed
 from simscenes.render.sensors import sensor_dict
+from simscenes.render.sequences import mean_at_most
 from simscenes.rigs import Rig
 from simscenes.transport.lengths import Lengths, light_by_length
 
@@ -30,6 +32,7 @@ SIZE = 32  # pixels along the longer side
 SPP = 64  # of pilots
 PER_PIXEL = 4  # pilot samples per pixel of the job, at most: planning a short job must not outlast it
 FEWEST_SPP = 16  # of pilots, however short the job
+CUT_SPP = 256  # of pilots for a depth that was decided by hand: what it cuts may be most of the error that is stated
 RR_DEPTH = 2  # where Russian roulette starts in pilots
 DEEPEST = 64  # pilot paths end here, where that is deep enough
 
@@ -55,7 +58,7 @@ class Pilot:
     rms: dict[str, tuple[float, ...]] = field(default_factory=dict)  # effect -> `Share.rms` of leaving it out
 
     def render(self, kind: str, depth: int, rr_depth: int = RR_DEPTH) -> NDArray[np.float64]:
-        """The pilot views, by the same paths for all depths; rendered once.
+        """The pilot views [2,c,h,w,3], by the same paths for all depths; rendered once.
 
         In scalar variants the paths differ, since their samplers continue from one to the next: differences are noisier
         there, and bounds wider.
@@ -67,7 +70,7 @@ class Pilot:
         return self.images[key]
 
     def cut(self, kind: str, depth: int, deepest: int) -> NDArray[np.float64]:
-        """The pilot views by paths up to `depth`, where the longest end at `deepest`.
+        """The pilot views [2,c,h,w,3] by paths up to `depth`, where the longest end at `deepest`.
 
         From one pass over all lengths where there is such a pass, else from a render of each depth. The deeper ones do
         without roulette: it ends one path in twenty at every bounce, however bright, so that few of hundreds of bounces
@@ -151,14 +154,17 @@ def pilot_spp(rig: Rig, small: Rig) -> int:
 def render_pilot(
     mi: Any, loaded: LoadedScene, rig: Rig, integrator: dict[str, Any], seed: int, spp: int = SPP
 ) -> NDArray[np.float64]:
-    """Radiance of all pilot views, [c,h,w,3]; the same `seed` follows the same paths."""
+    """Radiance of all pilot views, [2,c,h,w,3], by two independent halves of the samples; the same `seed` follows the
+    same paths.
+    """
     method = mi.load_dict(integrator)
-    views = []
-    for i in range(len(rig)):
-        sensor = mi.load_dict(sensor_dict(mi, rig, i, loaded))
-        image = mi.render(loaded.scene, sensor=sensor, integrator=method, spp=spp, seed=view_seed(rig, i, seed, 0))
-        views.append(np.array(image, dtype=np.float64)[..., :3])
-    result = np.stack(views)
+    halves = []
+    for half in range(2):
+        for i in range(len(rig)):
+            sensor, number = mi.load_dict(sensor_dict(mi, rig, i, loaded)), view_seed(rig, i, seed, half)
+            image = mi.render(loaded.scene, sensor=sensor, integrator=method, spp=spp // 2, seed=number)
+            halves.append(np.array(image, dtype=np.float64)[..., :3])
+    result = np.stack(halves).reshape(2, len(rig), *halves[0].shape)
     check_finite(result, loaded.name)
     return result
 
@@ -174,8 +180,7 @@ def check_finite(radiance: NDArray[np.float64], name: str) -> None:
 class Share:
     """A part of the light, relative to all of it: its estimate, and an upper limit at three standard errors.
 
-    `rms` is where it lies: the root mean square over the picture at that limit, relative to the mean radiance; then the
-    same within each quarter of the picture by brightness, darkest first, relative to that quarter's own mean.
+    `rms` is where it lies, `root_mean_squares`.
     """
 
     estimate: float
@@ -184,48 +189,38 @@ class Share:
 
 
 def missing_light(full: NDArray[np.float64], part: NDArray[np.float64]) -> Share:
-    """Share of `full` that `part`, cut from the same paths, lacks; pixels are independent samples of it."""
+    """Share of `full` that `part`, cut from the same paths, lacks; pixels are independent samples of it.
+
+    Args:
+        full: Pilot views, [2,c,h,w,3], by two independent halves of the samples.
+        part: The same by a part of the paths.
+    """
     total = float(full.mean())
     if total <= 0:
         return Share(0.0, 0.0)
-    lacking = (full - part).mean(-1).ravel()
-    spread = root_mean_squares(full - part, full)
+    lacking = (full - part).mean((0, -1)).ravel()
     error = float(lacking.std(ddof=1) / np.sqrt(lacking.size)) if lacking.size > 1 else 0.0
     estimate = max(float(lacking.mean()), 0.0)
-    upper = (estimate + 3 * error) / total
-    return Share(estimate / total, upper, scaled(spread, upper, estimate / total))
+    return Share(estimate / total, (estimate + 3 * error) / total, root_mean_squares(full - part, full))
 
 
-def root_mean_squares(change: NDArray[np.float64], full: NDArray[np.float64], block: int = 4) -> tuple[float, ...]:
-    """Root mean square of a change [c,h,w,3] of the views `full`, and by brightness: the figures of `Share.rms`.
+def root_mean_squares(change: NDArray[np.float64], full: NDArray[np.float64]) -> tuple[float, ...]:
+    """An error of pixels, at most: root mean square of a change over the picture relative to the mean radiance, then
+    within each quarter of the picture by brightness, darkest first, relative to the mean of that quarter.
 
-    Over blocks of pixels. Differences within a block are taken for noise, whose part in the square is subtracted; the
-    rest is at least the square of the mean.
+    Both [2,c,h,w,3]. The product of two independent changes of a pixel has the mean of the square without noise, for
+    every pixel and channel: no neighbourhood is averaged, in which light and shade would cancel. Three standard errors
+    are added; the square is at least the square of the mean.
     """
-    moved, noise = _blocks(change, block)
-    light, _ = _blocks(full, block)
+    product, moved, light = (v.mean(-1).ravel() for v in (change[0] * change[1], change.mean(0), full.mean(0)))
     order = np.argsort(light, kind="stable")
     quarters = np.array_split(order, 4) if len(order) >= 4 else [order] * 4
     least = 1e-12 * max(light.max(), 1e-300)  # a quarter without light would divide by zero
     found = []
     for chosen in (order, *quarters):
-        square = max((moved[chosen] ** 2 - noise[chosen]).mean(), moved[chosen].mean() ** 2)
-        found.append(float(np.sqrt(square) / max(light[chosen].mean(), least)))
+        square = max(mean_at_most(product[chosen], 3), moved[chosen].mean() ** 2)
+        found.append(math.sqrt(square) / max(light[chosen].mean(), least))
     return tuple(found)
-
-
-def scaled(rms: tuple[float, ...], upper: float, estimate: float) -> tuple[float, ...]:
-    """The figures of `Share.rms` of a change of size `estimate`, if it were `upper` everywhere in proportion."""
-    return tuple(upper / estimate * value for value in rms) if estimate > 0 else (upper,) * 5
-
-
-def _blocks(image: NDArray[np.float64], block: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Mean over channels and over blocks of pixels of views [c,h,w,3], flat; and its variance, from the pixels."""
-    label = _block_numbers(image, block)
-    values, counts = image.mean(-1).ravel(), np.bincount(label)
-    mean = np.bincount(label, values) / counts
-    scatter = np.bincount(label, (values - mean[label]) ** 2)
-    return mean, scatter / (counts * np.maximum(counts - 1, 1))
 
 
 def _block_numbers(image: NDArray[np.float64], block: int) -> NDArray[np.intp]:
@@ -236,14 +231,15 @@ def _block_numbers(image: NDArray[np.float64], block: int) -> NDArray[np.intp]:
     return np.unique(label, return_inverse=True)[1]
 
 
-def beyond(cut: Share, bounces: int, most: float) -> Share:
+def beyond(cut: Share, later: Share, bounces: int, most: float) -> Share:
     """A cut's missing light, including light of paths `bounces` deeper and beyond, if each bounce keeps at most `most`.
 
     All light after those paths is at most `most ** bounces` of the light they found beyond the cut, and so on: a
-    geometric series. The ratio of the last two bounces instead is known to come out a tenth to a fifth too low.
+    geometric series. The ratio of the last two bounces instead is known to come out a tenth to a fifth too low. Where
+    the light lies is told more closely, by `later`, the limit of what those paths leave out.
     """
-    kept = most**bounces
-    return Share(cut.estimate, cut.upper / (1 - kept), tuple(value / (1 - kept) for value in cut.rms))
+    rms = tuple(seen + left for seen, left in zip(cut.rms, later.rms, strict=True)) if cut.rms else ()
+    return Share(cut.estimate, cut.upper / (1 - most**bounces), rms)
 
 
 def most_reflected(mi: Any, loaded: LoadedScene) -> float:
@@ -278,7 +274,8 @@ def seconds_per_sample(mi: Any, loaded: LoadedScene, rig: Rig, integrator: dict[
 
 
 def changed_light(full: NDArray[np.float64], other: NDArray[np.float64], block: int = 4) -> Share:
-    """Mean absolute change between two renders relative to all light, over blocks of pixels; both may err by noise.
+    """Mean absolute change between two renders [2,c,h,w,3] relative to all light, over blocks of pixels; both may err
+    by noise.
 
     Blocks average noise that differs between the two, which would otherwise count as change; the remaining noise
     counts, so the estimate errs upwards.
@@ -286,11 +283,10 @@ def changed_light(full: NDArray[np.float64], other: NDArray[np.float64], block: 
     total = float(full.mean())
     if total <= 0:
         return Share(0.0, 0.0)
-    label = _block_numbers(full, block)
-    change = (other - full).mean(-1).ravel()
+    label = _block_numbers(full[0], block)
+    change = (other - full).mean((0, -1)).ravel()
     counts = np.bincount(label)
     blocks = np.abs(np.bincount(label, change) / counts)
     spread = float(np.abs(blocks).std() / np.sqrt(len(blocks)))
     estimate = float(np.average(blocks, weights=counts))
-    upper = (estimate + 3 * spread) / total
-    return Share(estimate / total, upper, scaled(root_mean_squares(other - full, full, block), upper, estimate / total))
+    return Share(estimate / total, (estimate + 3 * spread) / total, root_mean_squares(other - full, full))

@@ -114,6 +114,8 @@ def plan_loaded(
         if own is not None:
             p = replace(p, hide_emitters=own.hide_emitters)
             max_depth = own.max_depth if max_depth is None else max_depth
+        if max_depth is not None and backend != "scalar":  # where paths take longest
+            p = replace(p, spp=max(p.spp, pilot.CUT_SPP))
         made = _decide(p, rig, optics, force, max_depth, measure)
         say_if_dark(p)
         return replace(made, seconds=_measure_seconds(p, made)) if measure else made

@@ -115,15 +115,19 @@ def test_seconds_count_for_the_job_that_spent_them(tmp_path: Path) -> None:
 
 def test_a_view_is_taken_over_with_its_own_key_only(tmp_path: Path) -> None:
     path, light = tmp_path / "view.exr", np.arange(6, dtype=np.float32).reshape(2, 3)
-    assert finished_view(path, "key") is None
-    write_exr(path, {"R": light}, {"novagsKey": "key", "spp": 16})
-    found = finished_view(path, "key")
+    assert finished_view(path, "key {}".format) is None
+    write_exr(path, {"R": light}, {"novagsKey": "key 0", "spp": 16})
+    found = finished_view(path, "key {}".format)
     assert found is not None
     assert np.array_equal(found[0]["R"], light)
     assert found[1]["spp"] == 16
-    assert finished_view(path, "other") is None
+    assert finished_view(path, "other {}".format) is None
+    write_exr(path, {"R": light}, {"novagsKey": "key 40", "leastSpp": 40})  # its siblings asked for more samples
+    assert finished_view(path, "key {}".format) is not None
+    write_exr(path, {"R": light}, {"novagsKey": "key 40", "leastSpp": 41})
+    assert finished_view(path, "key {}".format) is None
     path.write_bytes(path.read_bytes()[:100])
-    assert finished_view(path, "key") is None
+    assert finished_view(path, "key {}".format) is None
 
 
 def test_what_is_kept_of_the_views_is_gone_afterwards_whatever_happens(tmp_path: Path) -> None:

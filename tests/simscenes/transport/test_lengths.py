@@ -47,14 +47,14 @@ def hard_scene(mi: Any) -> dict[str, Any]:
 
 
 def traced(mi: Any, loaded: LoadedScene, rig: Rig, i: int, integrator: dict[str, Any], seed: int) -> NDArray[Any]:
-    """The same samples by Mitsuba's integrator, mean over channels, [h,w]."""
+    """The same samples by Mitsuba's integrator, [2,h,w,3]."""
     pixels = rig.width * rig.height
     sensor = mi.load_dict(sensor_dict(mi, rig, i, loaded))
-    first, more = np.zeros(pixels, np.int64), np.full(pixels, SPP)
-    number = view_seed(rig, i, seed, 0)
-    parts = sample_sums(mi, loaded.scene, sensor, mi.load_dict(integrator), first, more, [number])
-    light = np.concatenate([sums[0] for _, sums in parts]) / SPP
-    return np.asarray(light.mean(1).reshape(rig.height, rig.width))
+    first, more = np.zeros(pixels, np.int64), np.full(pixels, SPP // 2)
+    numbers = [view_seed(rig, i, seed, half) for half in range(2)]
+    parts = sample_sums(mi, loaded.scene, sensor, mi.load_dict(integrator), first, more, numbers)
+    light = np.concatenate([sums for _, sums in parts], axis=1) / (SPP // 2)
+    return np.asarray(light.reshape(2, rig.height, rig.width, 3))
 
 
 @pytest.mark.parametrize("sky", [True, False])
@@ -65,9 +65,9 @@ def test_every_cut_is_the_picture_of_the_path_tracer(rr_depth: int, sky: bool) -
     scene = {name: one for name, one in hard_scene(mi).items() if sky or name != "sky"}
     loaded, rig = build_scene(scene, mi), one_view((0.3, -4, 2), (0, 0, 0.5))
     found = light_by_length(mi, loaded, rig, 20, rr_depth, SPP, 3)
-    assert found.light.shape == (20, 1, 12, 12, 1)
-    assert (found.light[:6].mean((1, 2, 3, 4)) > 0).all()
-    cuts = found.light.cumsum(0)[:, 0, ..., 0]
+    assert found.light.shape == (20, 2, 1, 12, 12, 3)
+    assert (found.light[:6].mean((2, 3, 4)) > 0).all()
+    cuts = found.light.cumsum(0)[:, :, 0]
     for depth in (1, 2, 3, 4, 7, 20):
         truth = traced(mi, loaded, rig, 0, {"type": "path", "max_depth": depth, "rr_depth": rr_depth}, 3)
         # Sums in another order, and fused multiplications, differ in the seventh digit.
@@ -81,8 +81,8 @@ def test_views_of_a_catalogue_scene_agree_with_the_path_tracer_too(monkeypatch: 
     whole = light_by_length(mi, loaded, rig, 8, 2, SPP, 0)
     for i in range(3):
         truth = traced(mi, loaded, rig, i, {"type": "path", "max_depth": 8, "rr_depth": 2}, 0)
-        assert np.isclose(whole.light[:, i, ..., 0].sum(0), truth, rtol=1e-4, atol=1e-4 * truth.mean()).mean() > 0.98
-    monkeypatch.setattr(lengths, "MOST_BOOKED", 8 * SPP * 100)
+        assert np.isclose(whole.light[:, :, i].sum(0), truth, rtol=1e-4, atol=1e-4 * truth.mean()).mean() > 0.98
+    monkeypatch.setattr(lengths, "MOST_BOOKED", 3 * 8 * SPP * 100)
     parts = light_by_length(mi, loaded, rig, 8, 2, SPP, 0)
     assert np.allclose(parts.light, whole.light, rtol=1e-6)
     assert parts.chained == pytest.approx(whole.chained, rel=1e-6)
@@ -135,4 +135,5 @@ def test_another_seed_and_another_view_follow_other_paths() -> None:
     first, again, other = (light_by_length(mi, loaded, twice, 4, 99, SPP, seed).light for seed in (3, 3, 4))
     np.testing.assert_array_equal(first, again)
     assert (first[1:] != other[1:]).mean() > 0.5
-    assert (first[1:, 0] != first[1:, 1]).mean() > 0.5
+    assert (first[1:, :, 0] != first[1:, :, 1]).mean() > 0.5
+    assert (first[1:, 0] != first[1:, 1]).mean() > 0.5  # each half

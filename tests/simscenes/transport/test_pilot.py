@@ -16,7 +16,7 @@ SceneMaker = Callable[..., dict[str, Any]]
 
 def test_missing_light_counts_the_mean_and_bounds_it() -> None:
     rng = np.random.default_rng(0)
-    full = np.ones((3, 32, 32, 3))
+    full = np.ones((2, 3, 32, 32, 3))
     lacking = rng.exponential(0.01, (3, 32, 32, 1)) * np.ones(3)
     share = missing_light(full, full - lacking)
     assert share.estimate == pytest.approx(lacking.mean())
@@ -30,7 +30,7 @@ def test_the_interval_beyond_a_cut_holds_a_geometric_series() -> None:
     for albedo in (0.5, 0.9, 0.98):
         for depth in (8, 16, 32):
             found = albedo**depth - albedo**64
-            cut = beyond(Share(found, found), 64 - depth, albedo)
+            cut = beyond(Share(found, found), Share(0.0, 0.0), 64 - depth, albedo)
             assert cut.estimate <= albedo**depth
             assert cut.upper == pytest.approx(albedo**depth)
 
@@ -56,11 +56,11 @@ def test_the_most_a_bounce_keeps_is_that_of_the_brightest_surface_seen_or_not(di
 
 def test_changed_light_averages_noise_away_but_not_change() -> None:
     rng = np.random.default_rng(0)
-    full = np.ones((3, 32, 32, 3))
+    full = np.ones((2, 3, 32, 32, 3))
     noisy = full + rng.normal(0, 0.1, full.shape)
     assert changed_light(full, noisy).upper < 0.02
     half = full.copy()
-    half[:, :16] *= 1.1
+    half[:, :, :16] *= 1.1
     assert changed_light(full, half).estimate == pytest.approx(0.05)
 
 

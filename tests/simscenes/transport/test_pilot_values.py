@@ -19,15 +19,15 @@ from simscenes.transport.pilot import (
     missing_light,
     pilot_rig,
     root_mean_squares,
-    scaled,
 )
 
 RNG = np.random.default_rng(4)
 
 
 def test_missing_light_is_the_mean_lack_with_three_standard_errors() -> None:
-    full, part = RNG.uniform(2, 4, (2, 3, 5, 3)), RNG.uniform(1, 3, (2, 3, 5, 3))
-    lacks = [float(sum(f - p) / 3) for f, p in zip(full.reshape(-1, 3), part.reshape(-1, 3), strict=True)]
+    full, part = RNG.uniform(2, 4, (2, 2, 3, 5, 3)), RNG.uniform(1, 3, (2, 2, 3, 5, 3))
+    means = (v.mean(0).reshape(-1, 3) for v in (full, part))
+    lacks = [float(sum(f - p) / 3) for f, p in zip(*means, strict=True)]
     mean = sum(lacks) / 30
     error = (sum((x - mean) ** 2 for x in lacks) / 29 / 30) ** 0.5
     total = full.sum() / full.size
@@ -37,51 +37,68 @@ def test_missing_light_is_the_mean_lack_with_three_standard_errors() -> None:
 
 
 def test_missing_light_is_never_negative_and_one_pixel_has_no_spread() -> None:
-    full = np.full((1, 1, 1, 3), 4.0)
+    full = np.full((2, 1, 1, 1, 3), 4.0)
     assert missing_light(full, full / 4) == Share(0.75, 0.75)
     assert missing_light(full, 2 * full) == Share(0, 0)
     assert missing_light(-full, full) == Share(0, 0)
-    noisy = np.array([1.0, 3.0]).reshape(1, 1, 2, 1) * np.ones(3)
+    noisy = np.array([1.0, 3.0]).reshape(1, 1, 2, 1) * np.ones((2, 1, 1, 2, 3))
     found = missing_light(noisy, noisy + [[[[0.5], [1.5]]]])  # what is cut is brighter, by luck
     assert found.estimate == 0
     assert found.upper == pytest.approx(3 * np.sqrt(0.5 / 2) / 2)
 
 
 def in_blocks(*values: float) -> np.ndarray:
-    """A view of four blocks of 4 x 4 pixels, each of one value."""
-    return np.repeat(np.repeat(np.array(values).reshape(1, 2, 2), 4, 1), 4, 2)[..., None] * np.ones(3)
+    """Two halves of a view of four blocks of 4 x 4 pixels, each of one value."""
+    blocks = np.repeat(np.repeat(np.array(values).reshape(1, 2, 2), 4, 1), 4, 2)[..., None]
+    return np.asarray(blocks * np.ones((2, 1, 1, 1, 3)))
 
 
 @pytest.mark.parametrize("darkest", [1.0, 0.0])
 def test_where_a_change_lies_is_told_by_brightness_each_part_relative_to_its_own_light(darkest: float) -> None:
+    """At most: three standard errors of a mean square that is the same in all pixels of a quarter add nothing there."""
     light, change = [8.0, darkest, 4.0, 2.0], [3.0, 0.1, 1.0, 0.4]
-    whole = np.sqrt(np.mean(np.square(change))) / np.mean(light)
+    square = np.square(change)
+    whole = np.sqrt(square.mean() + 3 * square.std() / np.sqrt(64)) / np.mean(light)
     found = root_mean_squares(in_blocks(*change), in_blocks(*light))
     assert found == pytest.approx((whole, 0.1 / max(darkest, 8e-12), 0.4 / 2, 1 / 4, 3 / 8))
 
 
-def test_noise_within_blocks_is_no_change() -> None:
-    noise = np.random.default_rng(0).normal(0, 1, (1, 64, 64, 1)) * np.ones(3)
-    whole, *_ = root_mean_squares(noise + 0.5, np.ones((1, 64, 64, 3)))
-    assert whole == pytest.approx(0.5, rel=0.1)  # as if it were: 0.56
+def test_a_change_that_alternates_from_pixel_to_pixel_or_between_channels_counts_in_full() -> None:
+    """Light and shade, or red and blue, that a mean over neighbours or channels would let cancel."""
+    sign = np.where(np.indices((32, 32)).sum(0) % 2, 1.0, -1.0)[None, None, ..., None]
+    tint = np.array([1.0, 0.0, -1.0])
+    for change, wanted in (
+        (0.2 * sign * np.ones(3), 0.2),
+        (0.2 * tint * np.ones((1, 1, 32, 32, 1)), 0.2 * np.sqrt(2 / 3)),
+    ):
+        both = change * np.ones((2, 1, 1, 1, 1))
+        assert root_mean_squares(both, np.ones((2, 1, 32, 32, 3)))[0] == pytest.approx(wanted)
 
 
-def test_every_part_of_a_change_grows_with_its_limit_and_with_what_lies_beyond() -> None:
-    parts = (0.1, 0.2, 0.3, 0.4, 0.5)
-    assert scaled(parts, 0.06, 0.02) == pytest.approx([3 * part for part in parts])
-    assert scaled(parts, 0.06, 0.0) == (0.06,) * 5
-    assert beyond(Share(0.03, 0.08, parts), 1, 0.75).rms == pytest.approx([4 * part for part in parts])
+def test_noise_that_the_halves_do_not_share_is_no_change() -> None:
+    noise = np.random.default_rng(0).normal(0, 1, (2, 1, 64, 64, 1)) * np.ones(3)
+    whole, *_ = root_mean_squares(noise + 0.5, np.ones((2, 1, 64, 64, 3)))
+    assert 0.5 < whole < 0.58  # the square is uncertain by a hundredth of one, three times
+    assert whole < np.sqrt(1.25) / 1.8  # as it would be with the noise of either
+
+
+def test_light_beyond_the_pilots_adds_its_own_limit_to_each_part() -> None:
+    parts, later = (0.1, 0.2, 0.3, 0.4, 0.5), (0.01, 0.0, 0.0, 0.0, 0.02)
+    found = beyond(Share(0.03, 0.08, parts), Share(0.0, 0.001, later), 1, 0.75)
+    assert found.rms == pytest.approx((0.11, 0.2, 0.3, 0.4, 0.52))
+    assert found == Share(0.03, pytest.approx(4 * 0.08))
 
 
 def test_beyond_sums_a_geometric_series() -> None:
     series = sum(0.08 * 0.9 ** (5 * k) for k in range(2000))
-    assert beyond(Share(0.03, 0.08), 5, 0.9) == Share(0.03, pytest.approx(series))
+    assert beyond(Share(0.03, 0.08), Share(0.0, 0.0), 5, 0.9) == Share(0.03, pytest.approx(series))
 
 
 @pytest.mark.parametrize("block", [1, 2, 4])
 def test_changed_light_is_the_mean_absolute_change_of_blocks(block: int) -> None:
     """Blocks end at the edges of the image and never reach over two views."""
-    full, other = RNG.uniform(1, 3, (2, 5, 6, 3)), RNG.uniform(1, 3, (2, 5, 6, 3))
+    halves = RNG.uniform(1, 3, (2, 2, 2, 5, 6, 3))
+    full, other = halves.mean(1)
     changes, sizes = [], []
     for c in range(2):
         for top in range(0, 5, block):
@@ -91,12 +108,12 @@ def test_changed_light_is_the_mean_absolute_change_of_blocks(block: int) -> None
                 sizes.append(other[cut].size / 3)
     total, spread = full.sum() / full.size, np.std(changes) / len(changes) ** 0.5
     estimate = sum(c * n for c, n in zip(changes, sizes, strict=True)) / sum(sizes)
-    found = changed_light(full, other, block)
+    found = changed_light(*halves, block)
     assert found.estimate == pytest.approx(estimate / total)
     assert found.upper == pytest.approx((estimate + 3 * spread) / total)
     if block == 4:
-        assert changed_light(full, other) == found
-    assert changed_light(0 * full, other) == Share(0, 0)
+        assert changed_light(*halves) == found
+    assert changed_light(0 * halves[0], halves[1]) == Share(0, 0)
 
 
 def test_pilot_views_are_spread_over_the_rig_whatever_its_order() -> None:
@@ -156,14 +173,14 @@ LOADED: Any = SimpleNamespace(scene="scene", name="custom")
 def test_pilots_render_every_view_with_the_seed_of_its_camera(rig: Rig) -> None:
     mi = Renderer()
     images = pilot.render_pilot(mi, LOADED, rig, {"type": "path"}, 7)
-    assert images.shape == (4, 8, 16, 3)
-    assert images[:, 0, 0, 0].tolist() == [1, 2, 3, 4]
+    assert images.shape == (2, 4, 8, 16, 3)
+    assert images[:, :, 0, 0, 0].tolist() == [[1, 2, 3, 4]] * 2
     assert [(a["seed"], a["spp"], a["integrator"]) for a in mi.asked] == [
-        (seed, 64, {"type": "path"}) for seed in (7, 107, 207, 307)
+        (seed, 32, {"type": "path"}) for seed in (7, 107, 207, 307, 17, 117, 217, 317)
     ]
     mi = Renderer()
     pilot.render_pilot(mi, LOADED, rig, {"type": "path"}, 7, 16)
-    assert {a["spp"] for a in mi.asked} == {16}
+    assert {a["spp"] for a in mi.asked} == {8}
     for bad in (np.nan, np.inf):
         with pytest.raises(ValueError, match="'custom' renders to nan"):
             pilot.render_pilot(Renderer(bad=bad), LOADED, rig, {"type": "path"}, 7)
@@ -205,7 +222,7 @@ def test_paths_over_surfaces_are_followed_once_for_all_cuts_and_others_rendered(
 
     def by_length(mi: Any, loaded: Any, rig: Any, *settings: int) -> Lengths:
         followed.append(settings)
-        return Lengths(np.arange(settings[0], dtype=float).reshape(-1, 1, 1, 1, 1), 0.0)
+        return Lengths(np.arange(settings[0], dtype=float).reshape(-1, 1, 1, 1, 1, 1), 0.0)
 
     monkeypatch.setattr(pilot, "light_by_length", by_length)
     monkeypatch.setattr(pilot, "render_pilot", lambda mi, loaded, rig, *a: rendered.append(a) or np.ones(1))
@@ -226,7 +243,7 @@ def test_paths_over_surfaces_are_followed_once_for_all_cuts_and_others_rendered(
 
 
 def test_light_by_length_that_is_not_finite_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    bad = Lengths(np.array([1.0, np.nan]).reshape(2, 1, 1, 1, 1), 0.0)
+    bad = Lengths(np.array([1.0, np.nan]).reshape(2, 1, 1, 1, 1, 1), 0.0)
     monkeypatch.setattr(pilot, "light_by_length", lambda *a: bad)
     p = Pilot(None, None, LOADED, None, "llvm_ad", 0.004, 5)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="'custom' renders to nan"):

@@ -28,7 +28,7 @@ class Object:
 
 def lengths(chained: float, light: float = 0.5) -> dict[int, Lengths]:
     """Three times `light` in every pixel, `chained` of it passed on by two specular surfaces."""
-    return {DEEPEST: Lengths(np.full((3, 2, 3, 4, 1), light), chained)}
+    return {DEEPEST: Lengths(np.full((3, 2, 1, 3, 4, 3), light), chained)}
 
 
 def pilots(scene: Any = None, *, backend: str = "llvm_ad", allowed: float = 0.004, chained: float = 1.5) -> Pilot:
@@ -116,7 +116,7 @@ def test_polarisation_is_measured_by_paired_pilots(
 
     def rendered(mi: Any, loaded: Any, rig: Any, settings: dict[str, Any], seed: int, spp: int) -> Any:
         asked.append((mi, loaded, settings, seed, spp))
-        return np.full((2, 3, 4, 3), 2.0 * (1 + change if loaded == "polarised" else 1))
+        return np.full((2, 1, 3, 4, 3), 2.0 * (1 + change if loaded == "polarised" else 1))
 
     monkeypatch.setattr(pilot, "render_pilot", rendered)
     found = polarisation_effect(replace(pilots(), spp=32), media, [], measure)
@@ -259,7 +259,7 @@ def test_what_filters_change_is_measured_and_kept_whatever_spectra_change(
     monkeypatch.setattr(colors, "filters_in", lambda scene, mi: ["LinearPolarizer"])
     monkeypatch.setattr(colors, "spectral_effect", lambda *a: (decision("s", False), 0.9))
     light = {"in spectra": 1.0, "polarised": 1.1}
-    monkeypatch.setattr(pilot, "render_pilot", lambda mi, loaded, *a: np.full((2, 3, 4, 3), light[loaded]))
+    monkeypatch.setattr(pilot, "render_pilot", lambda mi, loaded, *a: np.full((2, 1, 3, 4, 3), light[loaded]))
     (found, _), _ = color_effects(pilots(), Optics(), False, [], 0.25, measured)
     assert found.on
     assert found.contribution == pytest.approx(0.1)
@@ -291,7 +291,7 @@ def test_measured_spectra_of_anything_but_matt_surfaces_are_compared_in_pilots(
     monkeypatch.setattr(
         pilot,
         "render_pilot",
-        lambda mi, loaded, *a: np.full((2, 3, 4, 3), light.get(loaded, 1.0) if isinstance(loaded, str) else 1.0),
+        lambda mi, loaded, *a: np.full((2, 1, 3, 4, 3), light.get(loaded, 1.0) if isinstance(loaded, str) else 1.0),
     )
     effect, _ = spectral_effect(p, Optics(), 0.25, False)
     assert effect.on

@@ -33,8 +33,10 @@ def room(albedo: float, media: bool = False, deepest: tuple[int, ...] = (64,)) -
     By length where the paths are those over surfaces, else as pictures.
     """
     if media:
-        return {"images": {("volpath", d, 2): np.full((2, 3, 4, 3), 2 * (1 - albedo**d)) for d in (2, 8, 16, 32, 64)}}
-    picture = np.full((2, 3, 4, 1), 2 * (1 - albedo))
+        return {
+            "images": {("volpath", d, 2): np.full((2, 1, 3, 4, 3), 2 * (1 - albedo**d)) for d in (2, 8, 16, 32, 64)}
+        }
+    picture = np.full((2, 1, 3, 4, 3), 2 * (1 - albedo))
     return {"by_length": {d: Lengths(np.stack([albedo**k * picture for k in range(d)]), 0.0) for d in deepest}}
 
 
@@ -154,7 +156,7 @@ def test_media_count_by_what_they_change(
     """Without fog it is brighter everywhere; one of two media is coloured."""
     monkeypatch.setattr(effects, "media_in", lambda scene, mi: ["grey", "coloured"])
     monkeypatch.setattr(effects, "_is_chromatic", lambda mi, medium: chromatic and medium == "coloured")
-    through = np.full((2, 3, 4, 3), 2.0)
+    through = np.full((2, 1, 3, 4, 3), 2.0)
     p = pilots(images={("volpath", 8, 2): through, ("path", 8, 2): through * (1 + change)})
     media, colors = media_effects(p)
     assert (media.name, media.on, media.bound) == ("participating media", on, 0.004)
