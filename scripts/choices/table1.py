@@ -4,7 +4,7 @@ r"""The paper's Table 1 in this bed: a page with one table for each light level,
     novags study docs/studies/table1-weights.toml --out out/table1-weights  # where the authors' weights are
     novags study docs/studies/table1-simulated.toml --out out/table1-simulated  # after scripts/train_enhancer.py
     python scripts/choices/table1.py out/table1* --page docs/table1.md --summary docs/results.md \
-        --rows docs/table1.csv
+        --rows docs/tables/table1/runs.csv
 
 Sources are folders of studies and CSV files that an earlier call wrote, so that seeds can be measured one at a time.
 The page has the tables between <!-- table: LEVEL --> and <!-- /table -->, and at `paper` the paper's numbers beside
@@ -64,7 +64,7 @@ PAPER = {  # method here -> PSNR that the paper reports, dB, on LOM, LLRS and LL
     "nova-small": (20.97, 15.54, 23.49),
 }  # fmt: skip
 LEVELS = ("lom", "llrs", "llnerf")  # as the paper's columns
-PLACES = re.compile(r"<!-- table: (\S+) -->")  # of tables on the page
+PLACES = re.compile(r"<!-- table: (\S+)(?: as CSV)? -->")  # of tables on the page
 MEDALS = {1: " 🟩", 2: " 🟨", 3: " 🟥"}
 
 

@@ -148,15 +148,6 @@ def test_a_command_that_fails_where_it_should_not_is_an_error(make_docs: ModuleT
         make_docs.made("```console\n$ sh -c 'exit 3'\n```\n")
 
 
-def test_sections_of_the_readme_stand_in_the_site_with_links_from_there(make_docs: ModuleType) -> None:
-    page = make_docs.on_page_markdown("before\n<!-- from README.md: What its parts measure -->\nafter")
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    section = readme.split("## What its parts measure\n")[1].split("\n## ")[0].strip()
-    assert page == f"before\n{section.replace('](docs/', '](')}\nafter"
-    with pytest.raises(ValueError, match="README.md has no section 'Nothing'"):
-        make_docs.on_page_markdown("<!-- from README.md: Nothing -->")
-
-
 def test_the_page_of_effects_has_every_effect_of_the_camera_in_its_order() -> None:
     section = (DOCS / "what-is-simulated.md").read_text(encoding="utf-8").split("## The camera")[1].split("\n## ")[0]
     rows = [line.split("|")[1] for line in section.splitlines() if line.startswith("| `")]
