@@ -3,12 +3,11 @@ r"""The paper's Table 1 in this bed: a page with one table for each light level,
     novags study docs/studies/table1.toml --out out/table1
     novags study docs/studies/table1-weights.toml --out out/table1-weights  # where the authors' weights are
     novags study docs/studies/table1-simulated.toml --out out/table1-simulated  # after scripts/train_enhancer.py
-    python scripts/choices/table1.py out/table1* --page docs/table1.md --summary docs/results.md \
-        --rows docs/tables/table1/runs.csv
+    python scripts/choices/table1.py out/table1* --page docs/table1.md --rows docs/tables/table1/runs.csv
 
 Sources are folders of studies and CSV files that an earlier call wrote, so that seeds can be measured one at a time.
 The page has the tables between <!-- table: LEVEL --> and <!-- /table -->, and at `paper` the paper's numbers beside
-ours; the summary has the table of all levels, at `levels`.
+ours, at `levels` the table of all levels.
 """
 
 import argparse
@@ -196,7 +195,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("sources", nargs="+", type=Path)
     parser.add_argument("--page", type=Path, required=True)
-    parser.add_argument("--summary", type=Path, required=True)
     parser.add_argument("--rows", type=Path, help="CSV file to write the rows of all sources into")
     options = parser.parse_args()
     rows = merged([read_source(source) for source in options.sources])
@@ -206,7 +204,7 @@ def main() -> None:
     places = PLACES.findall(options.page.read_text(encoding="utf-8"))
     found = {**dict.fromkeys(places, "No runs."), **tables(rows, {"variant": variants})}  # no table of other rows stays
     for name, table in found.items():
-        write_table(options.summary if name == "levels" else options.page, name, table)
+        write_table(options.page, name, table)
 
 
 if __name__ == "__main__":
