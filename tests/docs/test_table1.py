@@ -136,7 +136,9 @@ def test_rows_come_back_from_their_csv_and_later_sources_win(
         (tmp_path / name).mkdir()
         (tmp_path / name / "results.json").write_text(json.dumps({"rows": rows}))
     page, out = tmp_path / "page.md", tmp_path / "rows.csv"
-    page.write_text("".join(f"<!-- table: {name} -->\n<!-- /table -->\n" for name in ("lom", "llrs", "paper", "levels")))
+    page.write_text(
+        "".join(f"<!-- table: {name} -->\n<!-- /table -->\n" for name in ("lom", "llrs", "paper", "levels"))
+    )
 
     def call(*sources: Path) -> str:
         names = [str(source) for source in sources]
