@@ -11,8 +11,8 @@ methods without a dot run in every rung.
     rung 3    the whole grid of the file
 
 Rungs share one store, so that a later one does only new runs, and the same command resumes. The page has the tables
-between <!-- table: NAME --> and <!-- /table -->, NAME being the file's; after <!-- table: NAME as CSV --> they are links
-to files in docs/tables. `--tables` only writes them, from whatever is finished.
+between <!-- table: NAME --> and <!-- /table -->, NAME being the file's; after <!-- table: NAME as CSV --> links to
+files in docs/tables. `--tables` only writes them, from whatever is finished.
 """
 
 import argparse

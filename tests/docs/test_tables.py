@@ -90,7 +90,8 @@ def test_a_table_with_another_head_fewer_rows_or_other_names_is_lost(there: Tabl
 
 
 def test_a_table_becomes_a_file_and_a_link(tables: ModuleType, tmp_path: Path) -> None:
-    text = "2 runs, dB:\n\n| a | b |\n|---|--:|\n| `x` | **1** |\n| [y](z.md) | 2 \\| 3 |\n\nSSIM:\n\n| a |\n|---|\n| x |\n"
+    first = "| a | b |\n|---|--:|\n| `x` | **1** |\n| [y](z.md) | 2 \\| 3 |\n"
+    text = f"2 runs, dB:\n\n{first}\nSSIM:\n\n| a |\n|---|\n| x |\n"
     made = tables.as_csv(text, tmp_path / "page.md", "study")
     assert made == (
         "2 runs, dB:\n\n[2 rows as CSV](tables/page/study-1.csv)\n\nSSIM:\n\n[1 rows as CSV](tables/page/study-2.csv)\n"

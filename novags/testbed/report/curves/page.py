@@ -1,4 +1,4 @@
-"""What a measured subject leaves in its folder: lines of JSON, a figure, tables; and the defaults in a page of one's own."""
+"""What a measured subject leaves in its folder: lines of JSON, a figure, tables; and defaults in a page."""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -35,11 +35,13 @@ def _table(knob: str, points: Sequence[Point]) -> str:
 
 def defaults(points: Sequence[Point]) -> str:
     """The defaults of all knobs of some curves in one table, Markdown."""
-    lines = ["| knob | default | processor s | error | on the front |", "|---|---|---|---|---|"]
+    units = {point["error_unit"].replace("|", r"\|") for point in points}
+    head = f"error ({units.pop()})" if len(units) == 1 else "error"  # one of many units stands with its number
+    lines = [f"| knob | default | processor s | {head} | on the front |", "|---|---|---|---|---|"]
     for knob, setting, default, seconds, _, error, unit, _, front, _ in joined(points)[1:]:
         if default:
-            cells = (knob, setting, seconds, f"{error} ({unit})".replace("|", r"\|"), front)
-            lines.append(f"| {' | '.join(cells)} |")
+            own = f" ({unit})".replace("|", r"\|") if head == "error" else ""
+            lines.append(f"| {knob} | {setting} | {seconds} | {error}{own} | {front} |")
     return "\n".join(lines)
 
 
