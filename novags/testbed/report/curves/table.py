@@ -41,7 +41,7 @@ def defaults(points: Sequence[Point]) -> str:
     for knob, setting, default, seconds, _, error, unit, _, front, _ in joined(points)[1:]:
         if default:
             own = f" ({unit})".replace("|", r"\|") if head == "error" else ""
-            lines.append(f"| {knob} | {setting} | {seconds} | {error}{own} | {front} |")
+            lines.append(f"| {knob.partition('.')[2]} | {setting} | {seconds} | {error}{own} | {front} |")
     return "\n".join(lines)
 
 
@@ -53,7 +53,7 @@ def joined(points: Sequence[Point]) -> list[list[str]]:
         own = [point for point in points if point["knob"] == knob]
         for point in own:
             rows.append([
-                knob.partition(".")[2], setting_text(point["setting"]), "yes" if point["default"] else "",
+                knob, setting_text(point["setting"]), "yes" if point["default"] else "",
                 f"{point['cpu_seconds']:.3g}", f"{point['seconds']:.3g}",
                 with_spread(point["error"], point["error_sd"], point["repeats"]), point["error_unit"],
                 _decibels(point) if "RMSE of held-out views" in point["error_unit"] else "",
