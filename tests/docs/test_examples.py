@@ -1,4 +1,4 @@
-"""The examples of the README and of docs/ that are marked as such run as they stand, a page's in one folder, in order."""
+"""Examples of README and docs/ that are marked as such run as they stand, those of a page in one folder and in order."""
 
 import json
 import re

@@ -1,7 +1,7 @@
 """No measured table is lost: each one of `measured.csv` stands in a page, or in a CSV file that a page links to.
 
-Measured is a table in which a third of the cells have digits. Tables of curves and of hard cases are listed with the heads
-that they have as one file: knob, setting, error; part, unit.
+Measured is a table in which a third of the cells have digits. Tables of curves and of hard cases are listed with the
+heads that they have as one file: knob, setting, error; part, unit.
 """
 
 import csv
