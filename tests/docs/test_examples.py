@@ -1,4 +1,4 @@
-"""Examples of README and docs/ that are marked as such run as they stand, those of a page in one folder and in order."""
+"""Examples of README and docs/ that are marked as such run as they stand, a page in one folder and in order."""
 
 import json
 import re
