@@ -11,10 +11,8 @@ has printed its address; `<!-- exit=2 -->`: it must fail with this code.
 `<!-- file NAME -->` before a block: the page's block of code with that title is written to a file of that name first.
 
 docs/gallery.md is made with a picture of every scene that has none yet; if there is one, docs/scenes.png is made again.
-The tables of docs/stability.md come from a run of the tests that hold them to their bounds; not with --cheap.
-
-MkDocs takes this file as its hook: where a page says `<!-- from README.md: HEADING -->`, the site has that section of
-the README.
+The table of docs/stability.md comes from a run of the tests that hold its cases to their bounds; not with --cheap.
+The tables of docs/accuracy-and-time.md show the curves that novags ships.
 """
 
 import argparse
@@ -31,11 +29,12 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
+CASES = DOCS / "tables" / "stability" / "cases.csv"
+CURVES = DOCS / "tables" / "accuracy-and-time"
 BLOCK = re.compile(
     r"(?:^<!-- (?P<wishes>(?:cheap|stop|first=\d+|exit=\d+)(?: \S+)*) -->\n+)?^```console\n(?P<body>.*?)^```$",
     re.M | re.S,
 )
-SECTION = re.compile(r"^<!-- from README.md: (?P<heading>.*?) -->$", re.M)
 WIDTH = 110  # columns
 LIMIT = 1800  # s
 
@@ -121,23 +120,6 @@ def with_outputs(page: str, folder: Path, failed: list[str] | None = None, *, ch
     return BLOCK.sub(run, page)
 
 
-def on_page_markdown(markdown: str, **_: object) -> str:
-    """A page of the site: with the sections of the README that it names.
-
-    Raises:
-        ValueError: If the README has no such section.
-    """
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-
-    def section(found: re.Match[str]) -> str:
-        text = re.search(rf"^## {re.escape(found['heading'])}\n(.*?)(?=^## |\Z)", readme, re.M | re.S)
-        if text is None:
-            raise ValueError(f"README.md has no section {found['heading']!r}")
-        return text[1].strip().replace("](docs/", "](")
-
-    return SECTION.sub(section, markdown)
-
-
 def made(page: str, failed: list[str] | None = None, *, cheap_only: bool = False) -> str:
     """A page as it should be, of its text."""
     with tempfile.TemporaryDirectory(prefix="novags-docs-") as folder:
@@ -149,10 +131,27 @@ def made(page: str, failed: list[str] | None = None, *, cheap_only: bool = False
         return with_outputs(page, Path(folder), failed, cheap_only=cheap_only)
 
 
-def hard_cases(page: Path) -> bool:
-    """Run the tests of the hard cases, which write their errors into the page; whether all hold."""
-    words = ["tests/stability", "-m", "slow or not slow", "-k", "within_its_bound", "--hard-cases", str(page)]
+def hard_cases() -> bool:
+    """Run the tests of the hard cases, which write their errors into their table; whether all hold."""
+    words = ["tests/stability", "-m", "slow or not slow", "-k", "within_its_bound", "--hard-cases", str(CASES)]
     return subprocess.run([sys.executable, "-m", "pytest", *words], cwd=ROOT).returncode == 0
+
+
+def with_curves(page: str) -> str:
+    """A page with the defaults of the curves that novags ships; all their settings go to tables."""
+    sys.path[:0] = [str(ROOT), str(ROOT / "scripts" / "choices")]
+    from tables import write_csv
+
+    from novags.testbed.report.curves.page import embedded
+    from novags.testbed.report.curves.table import joined
+    from novags.testbed.study.budget.known import SHIPPED
+    from novags.testbed.study.curves.curve import read_curves
+
+    points = read_curves(SHIPPED)
+    for name in dict.fromkeys(point["knob"].partition(".")[0] for point in points):
+        own = [point for point in points if point["knob"].startswith(f"{name}.")]
+        write_csv(CURVES / f"{name}.csv", joined(own))
+    return embedded(page, points)
 
 
 def scene_pictures() -> bool:
@@ -179,12 +178,14 @@ def main() -> None:
     args = parser.parse_args()
     failed: list[str] = []
     for page in args.pages:
-        if page.name == "stability.md" and not args.cheap and not hard_cases(page.resolve()):
+        if page.name == "stability.md" and not args.cheap and not hard_cases():
             failed.append(f"{page}: a hard case fails")
         before = page.read_text(encoding="utf-8")
         if page.name == "gallery.md" and not scene_pictures():
             failed.append(f"{page}: a picture could not be made")
         text = made(page.read_text(encoding="utf-8"), failed, cheap_only=args.cheap)
+        if page.name == "accuracy-and-time.md":
+            text = with_curves(text)
         if text != before:
             page.write_text(text, encoding="utf-8")
             print(page.relative_to(ROOT) if page.is_relative_to(ROOT) else page, flush=True)

@@ -280,7 +280,7 @@ def main() -> None:
     text = summary(entries, excuses, "kind" if options.kinds else "file")
     (options.out / "summary.md").write_text(text + "\n", encoding="utf-8")
     notes = {entry["key"]: reason(entry, excuses) for entry in entries if entry["verdict"] == "survived"}
-    (options.out / "list.md").write_text(listing(entries, notes), encoding="utf-8")
+    (options.out / "list.csv").write_text(listing(entries, notes), encoding="utf-8")
     print(f"\n{text}")
 
 

@@ -329,7 +329,7 @@ def test_what_an_earlier_list_names_is_not_drawn_again(tmp_path):
     often = read(every)
     every.sort(key=lambda one: -often[next(iter(read([one])))])  # those first that others read like
     assert max(often.values()) > 1
-    lists = [tmp_path / "a.md", tmp_path / "b.md"]
+    lists = [tmp_path / "a.csv", tmp_path / "b.csv"]
     for path, part in zip(lists, (every[:1], every[1:20]), strict=True):
         common = {"key": "", "line": 0, "verdict": "survived", "by": ""}
         entries = [common | {"file": name, "kind": m.kind, "before": m.before, "after": m.after} for name, m in part]
@@ -361,13 +361,9 @@ def test_the_list_shows_where_before_and_after_differ_and_the_test_that_failed()
     ]  # fmt: skip
     text = listing(entries, {"1": "nobody draws"})
     assert text.splitlines() == [
-        "## Identity",
-        "",
-        "- a/b.py:3 `digest({'a': x, 'b': y, 'c': z})` becomes `digest({'a': x, 'c': z})`; a/test_b.py `test_it`",
-        "",
-        "## Seed",
-        "",
-        "- a/b.py:3 `seed` becomes `1`; **survived**: nobody draws",
+        "kind,place,before,after,verdict",
+        """identity,a/b.py:3,"digest({'a': x, 'b': y, 'c': z})","digest({'a': x, 'c': z})",a/test_b.py test_it""",
+        "seed,a/b.py:3,seed,1,survived: nobody draws",
     ]
     assert difference("a\n        if b\n    else c", "(b)") == ("a if b else c", "b")
     assert difference("f(x)", "pass") == ("f(x)", "pass")

@@ -11,8 +11,8 @@ methods without a dot run in every rung.
     rung 3    the whole grid of the file
 
 Rungs share one store, so that a later one does only new runs, and the same command resumes. The page has the tables
-between <!-- table: NAME --> and <!-- /table -->, NAME being the file's; `--tables` only writes them, from whatever is
-finished.
+between <!-- table: NAME --> and <!-- /table -->, NAME being the file's; after <!-- table: NAME as CSV --> links to
+files in docs/tables. `--tables` only writes them, from whatever is finished.
 """
 
 import argparse
@@ -26,6 +26,7 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parent))  # so that it is found where this file is loaded by its path
 
+from tables import as_csv
 from verdict import Finding, findings, going_on, markdown
 
 from novags.methods.variant import dotted
@@ -130,10 +131,12 @@ def write_table(page: Path, name: str, table: str) -> None:
         ValueError: If the page has no such place.
     """
     text = page.read_text(encoding="utf-8")
-    place = re.compile(rf"(<!-- table: {re.escape(name)} -->\n).*?(<!-- /table -->)", re.DOTALL)
-    if not place.search(text):
+    place = re.compile(rf"(<!-- table: {re.escape(name)}( as CSV)? -->\n).*?(<!-- /table -->)", re.DOTALL)
+    if not (there := place.search(text)):
         raise ValueError(f"{page} has no <!-- table: {name} --> with <!-- /table --> after it: add them")
-    page.write_text(place.sub(lambda found: f"{found[1]}\n{table}\n{found[2]}", text), encoding="utf-8")
+    if there[2]:
+        table = as_csv(table, page, name)
+    page.write_text(place.sub(lambda found: f"{found[1]}\n{table}\n{found[3]}", text), encoding="utf-8")
 
 
 def main() -> None:

@@ -3,12 +3,11 @@ r"""The paper's Table 1 in this bed: a page with one table for each light level,
     novags study docs/studies/table1.toml --out out/table1
     novags study docs/studies/table1-weights.toml --out out/table1-weights  # where the authors' weights are
     novags study docs/studies/table1-simulated.toml --out out/table1-simulated  # after scripts/train_enhancer.py
-    python scripts/choices/table1.py out/table1* --page docs/table1.md --summary docs/results.md \
-        --rows docs/table1.csv
+    python scripts/choices/table1.py out/table1* --page docs/table1.md --rows docs/tables/table1/runs.csv
 
 Sources are folders of studies and CSV files that an earlier call wrote, so that seeds can be measured one at a time.
 The page has the tables between <!-- table: LEVEL --> and <!-- /table -->, and at `paper` the paper's numbers beside
-ours; the summary has the table of all levels, at `levels`.
+ours, at `levels` the table of all levels, at `best` its first places.
 """
 
 import argparse
@@ -64,7 +63,7 @@ PAPER = {  # method here -> PSNR that the paper reports, dB, on LOM, LLRS and LL
     "nova-small": (20.97, 15.54, 23.49),
 }  # fmt: skip
 LEVELS = ("lom", "llrs", "llnerf")  # as the paper's columns
-PLACES = re.compile(r"<!-- table: (\S+) -->")  # of tables on the page
+PLACES = re.compile(r"<!-- table: (\S+)(?: as CSV)? -->")  # of tables on the page
 MEDALS = {1: " 🟩", 2: " 🟨", 3: " 🟥"}
 
 
@@ -155,6 +154,12 @@ def all_levels(lines: Sequence[Line], family: Mapping[str, str], competes: Mappi
     return "\n".join(text)
 
 
+def the_best(table: str) -> str:
+    """Of the table of all levels the methods that have a place, and the two that all are measured by."""
+    head, rule, *rows = table.splitlines()
+    return "\n".join([head, rule, *(row for row in rows if re.search(r"[🟩🟨🟥]|`naive`|`oracle`", row))])
+
+
 def beside_paper(lines: Sequence[Line]) -> str:
     """PSNR that the paper reports and that is found here, and how well the orders agree (Spearman)."""
     heads = " | ".join(f"{level}: paper, PSNR, tone-aligned" for level in LEVELS)
@@ -188,7 +193,8 @@ def tables(rows: Sequence[Row], study: Mapping[str, Any]) -> dict[str, str]:
     lines = lines_of(rows, dict.fromkeys(PLACE), competes)
     found = {str(members[0].place["level"]): level_table(members, family, competes)
              for members in by_place(lines).values()}  # fmt: skip
-    return {**found, "levels": all_levels(lines, family, competes), "paper": beside_paper(lines)}
+    levels = all_levels(lines, family, competes)
+    return {**found, "levels": levels, "best": the_best(levels), "paper": beside_paper(lines)}
 
 
 def main() -> None:
@@ -196,7 +202,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("sources", nargs="+", type=Path)
     parser.add_argument("--page", type=Path, required=True)
-    parser.add_argument("--summary", type=Path, required=True)
     parser.add_argument("--rows", type=Path, help="CSV file to write the rows of all sources into")
     options = parser.parse_args()
     rows = merged([read_source(source) for source in options.sources])
@@ -206,7 +211,7 @@ def main() -> None:
     places = PLACES.findall(options.page.read_text(encoding="utf-8"))
     found = {**dict.fromkeys(places, "No runs."), **tables(rows, {"variant": variants})}  # no table of other rows stays
     for name, table in found.items():
-        write_table(options.summary if name == "levels" else options.page, name, table)
+        write_table(options.page, name, table)
 
 
 if __name__ == "__main__":

@@ -2,11 +2,11 @@
 
     python scripts/light/make_levels.py [--scenes tabletop studio] [--size 128] [--views 12] [--spp 96] [--work DIR]
 
-Writes docs/levels.svg, and the table between the marks of the page. With --work renders and captures are kept there.
+Writes docs/levels.svg and docs/tables/light-levels/levels.csv. With --work renders and captures are kept there.
 """
 
 import argparse
-import re
+import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +14,10 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import NDArray
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "choices"))
+
+from tables import rows, write_csv
 
 from novags.process import settle
 from novags.testbed import stages
@@ -120,11 +124,8 @@ def main() -> None:
                 stages.capture(work / f"set-{scene}", folder, exposed, QUIET)
                 looks[scene, name] = look(open_capture(folder))
     figure(looks, args.scenes, DOCS / "levels.svg")
-    page = DOCS / "light-levels.md"
-    text = page.read_text(encoding="utf-8")
     made = table(looks, args.scenes)
-    page.write_text(re.sub(r"(<!-- levels -->\n).*?(\n<!-- end -->)", lambda m: f"{m[1]}{made}{m[2]}", text,
-                           flags=re.S), encoding="utf-8")  # fmt: skip
+    write_csv(DOCS / "tables" / "light-levels" / "levels.csv", rows(made))
     print(made)
 
 

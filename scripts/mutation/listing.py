@@ -1,27 +1,27 @@
-"""All judged mutants as one page, each with the test that failed."""
+"""All judged mutants as one table, each with the test that failed."""
 
 import ast
-import re
+import csv
+import io
 from collections import Counter
 from collections.abc import Iterable
 from typing import Any
 
+HEAD = ("kind", "place", "before", "after", "verdict")
 CONTEXT = 24  # characters that are shown before and after the place where two texts differ
 
 
 def listing(entries: Iterable[dict[str, Any]], notes: dict[str, str | None]) -> str:
-    """A list for each kind, in Markdown.
+    """A row for each mutant, as CSV.
 
     Args:
         entries: Verdicts.
         notes: Why a survivor changes nothing that matters, by its key; None where nobody wrote that down.
     """
-    lines = list[str]()
     ordered = sorted(entries, key=lambda e: (e["kind"], e["file"], e["line"], e["after"]))
-    for kind in dict.fromkeys(entry["kind"] for entry in ordered):
-        lines += ["", f"## {kind.capitalize()}", ""]
-        lines += [_line(entry, notes.get(entry["key"])) for entry in ordered if entry["kind"] == kind]
-    return "\n".join(lines).strip() + "\n"
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([HEAD, *(_row(e, notes.get(e["key"])) for e in ordered)])
+    return text.getvalue()
 
 
 def listed(text: str) -> Counter[tuple[str, str, str]]:
@@ -29,17 +29,18 @@ def listed(text: str) -> Counter[tuple[str, str, str]]:
 
     Some read alike: each text with how often the list has it.
     """
-    return Counter(re.findall(r"^- (\S+):\d+ `([^`]*)` becomes `([^`]*)`;", text, re.M))
+    rows = csv.DictReader(io.StringIO(text, newline=""))
+    return Counter((row["place"].rpartition(":")[0], row["before"], row["after"]) for row in rows)
 
 
-def _line(entry: dict[str, Any], why: str | None) -> str:
+def _row(entry: dict[str, Any], why: str | None) -> tuple[str, ...]:
     before, after = difference(entry["before"], entry["after"])
     if entry["verdict"] == "survived":
-        verdict = f"**survived**: {why or entry['by'] or 'to be caught'}"
+        verdict = f"survived: {why or entry['by'] or 'to be caught'}"
     else:
         file, _, test = entry["by"].partition("::")
-        verdict = f"{file.removeprefix('tests/')} `{test.partition('[')[0]}`" if test else entry["by"]
-    return f"- {entry['file']}:{entry['line']} `{before}` becomes `{after}`; {verdict}"
+        verdict = f"{file.removeprefix('tests/')} {test.partition('[')[0]}" if test else entry["by"]
+    return entry["kind"], f"{entry['file']}:{entry['line']}", before, after, verdict
 
 
 def difference(before: str, after: str) -> tuple[str, str]:

@@ -48,9 +48,7 @@ def strip(radiance: NDArray[np.float32]) -> NDArray[np.uint8]:
 def listed(names: list[str]) -> str:
     """The list of scenes in the page."""
     return "\n".join(
-        f"**{name}**: {first_sentence(SCENES[name].text)}\n\n"
-        f"![{name} in good light, and exposed to four levels of light](gallery/{name}.jpg)\n"
-        for name in names
+        f"**{name}**: {first_sentence(SCENES[name].text)}\n\n![{name}](gallery/{name}.jpg)\n" for name in names
     )
 
 

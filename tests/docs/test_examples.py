@@ -1,4 +1,4 @@
-"""The examples of docs/ that are marked as such run as they stand, those of a page in one folder and in their order."""
+"""Examples of README and docs/ that are marked as such run as they stand, a page in one folder and in order."""
 
 import json
 import re
@@ -19,6 +19,7 @@ from tests.fuzz.readers.records import make_run  # noqa: E402
 
 EXAMPLE = re.compile(r"^<!-- run -->\n```python\n(.*?)^```$", re.M | re.S)
 PRINTED = {  # what the last lines of a page's examples say, where that is worth a claim
+    "README.md": r"uint16 \(64, 64, 3\) 1\.0\n",
     "own-camera.md": r"\d+ electrons",
     "own-metric.md": r"naive 0\.00\d{2}\noracle 0\.[1-9]\d{3}",
     "in-python.md": r"\(32, 32, 3\) .* \[0, 8\]\nuint16 1\.0 .*'photon_shot'.*\(1, 32, 32, 3\) True\n"
@@ -30,7 +31,7 @@ def examples(page: Path) -> list[str]:
     return EXAMPLE.findall(page.read_text(encoding="utf-8"))
 
 
-WITH_EXAMPLES = [page for page in sorted((ROOT / "docs").glob("*.md")) if examples(page)]
+WITH_EXAMPLES = [page for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))) if examples(page)]
 
 
 def test_there_are_examples_and_all_are_short() -> None:

@@ -114,6 +114,9 @@ def test_one_table_has_all_levels(table1: ModuleType) -> None:
     assert lines[0] == "| tone-aligned PSNR, dB | lom | llrs |"
     assert "| `naive` | 21.00 ± 1.41 🟨 | **12.00** 🟩 |" in lines
     assert "| `lita-gs` | 19.00 | – |" in lines
+    best = table1.tables(ROWS, STUDY)["best"].splitlines()
+    assert best[:2] == lines[:2]
+    assert best[2:] == [line for line in lines[2:] if "lita-gs" not in line]
 
 
 def test_the_paper_stands_beside_and_the_order_is_compared(table1: ModuleType) -> None:
@@ -135,17 +138,16 @@ def test_rows_come_back_from_their_csv_and_later_sources_win(
     ):
         (tmp_path / name).mkdir()
         (tmp_path / name / "results.json").write_text(json.dumps({"rows": rows}))
-    page, summary, out = tmp_path / "page.md", tmp_path / "summary.md", tmp_path / "rows.csv"
-    page.write_text("".join(f"<!-- table: {name} -->\n<!-- /table -->\n" for name in ("lom", "llrs", "paper")))
-    summary.write_text("<!-- table: levels -->\n<!-- /table -->\n")
+    page, out = tmp_path / "page.md", tmp_path / "rows.csv"
+    page.write_text(
+        "".join(f"<!-- table: {name} -->\n<!-- /table -->\n" for name in ("lom", "llrs", "paper", "levels", "best"))
+    )
 
     def call(*sources: Path) -> str:
         names = [str(source) for source in sources]
-        monkeypatch.setattr(
-            sys, "argv", ["table1.py", *names, "--page", str(page), "--summary", str(summary), "--rows", str(out)]
-        )
+        monkeypatch.setattr(sys, "argv", ["table1.py", *names, "--page", str(page), "--rows", str(out)])
         table1.main()
-        return page.read_text() + summary.read_text()
+        return page.read_text()
 
     first = call(tmp_path / "one")
     assert call(out) == first

@@ -26,6 +26,7 @@ from novags.testbed.viewer.light import ViewerCamera
 from sensor_model.files.toml_file import read_toml
 from simscenes.sets.pictures.png import read_png
 
+TRAINING_LOOP = Path(__file__).resolve().parents[2] / "docs" / "examples" / "training_loop.py"
 FILE = """
 [dataset]
 name = "dark-balls"
@@ -246,9 +247,9 @@ def test_croissant_says_where_the_records_are_and_their_checksums(place: Path) -
 
 
 def test_the_training_loop_of_the_page_reads_it_and_learns(
-    place: Path, blocks: Callable[..., list[str]], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (code,) = blocks("datasets.md")
+    code = TRAINING_LOOP.read_text(encoding="utf-8")
     monkeypatch.setattr(sys, "argv", ["train.py", str(place / "data")])
     exec(code, {"__name__": "__main__"})
     losses = [float(line.split()[3].rstrip(",")) for line in capsys.readouterr().out.splitlines()]

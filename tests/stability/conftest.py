@@ -1,5 +1,6 @@
-"""Every hard case of a file's `PART`, in every setting that this machine offers, and the page of their errors."""
+"""Every hard case of a file's `PART`, in every setting that this machine offers, and the table of their errors."""
 
+import csv
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
@@ -7,9 +8,11 @@ import pytest
 
 from tests.stability.case import Case, Error, Fails, Part, Setting
 
+HEAD = ["part", "case", "worst error", "bound", "unit", "computed by"]
+
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--hard-cases", type=Path, metavar="PAGE", help="page that takes the errors of the hard cases")
+    parser.addoption("--hard-cases", type=Path, metavar="CSV", help="table that takes the errors of the hard cases")
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
@@ -25,7 +28,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 @pytest.fixture
 def error(record_property: Callable[[str, object], None]) -> Error:
-    """A function: the error of a case in a setting, which goes on record for the page."""
+    """A function: the error of a case in a setting, which goes on record for the table."""
 
     def error(case: Case, setting: Setting) -> float:
         found = case.error(setting)
@@ -53,31 +56,31 @@ def fails(request: pytest.FixtureRequest) -> Fails:
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, exitstatus: int, config: pytest.Config) -> None:
-    page = config.getoption("hard_cases", None)
-    if page is None:
+    path = config.getoption("hard_cases", None)
+    if path is None:
         return
     if exitstatus:
-        terminalreporter.write_line(f"{page} stays as it is: its numbers are those of a run that passes")
+        terminalreporter.write_line(f"{path} stays as it is: its numbers are those of a run that passes")
         return
     passed = terminalreporter.stats["passed"]
-    rows = [value for report in passed for name, value in report.user_properties if name == "hard case"]
-    head, heading, old = page.read_text(encoding="utf-8").partition("## Measured\n")
-    known = {text.partition("\n")[0]: text for text in old.split("\n### ")[1:]}
-    sections = known | tables(rows)  # parts that were not run keep their table
-    page.write_text(head + heading + "".join(f"\n### {text}" for text in sections.values()), encoding="utf-8")
+    found = [value for report in passed for name, value in report.user_properties if name == "hard case"]
+    known: dict[str, list[list[str]]] = {}
+    for row in list(csv.reader(path.read_text(encoding="utf-8").splitlines()))[1:]:
+        known.setdefault(row[0], []).append(row)
+    parts = known | tables(found)  # parts that were not run keep their rows
+    with path.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows([HEAD, *(row for rows in parts.values() for row in rows)])
 
 
-def tables(rows: Iterable[tuple[str, str, float, str, str, float]]) -> dict[str, str]:
-    """The section of each part, Markdown: a row a case with the worst error of all its settings."""
+def tables(rows: Iterable[tuple[str, str, float, str, str, float]]) -> dict[str, list[list[str]]]:
+    """The rows of each part: a row a case with the worst error of all its settings."""
     parts: dict[str, dict[tuple[str, float, str], list[tuple[str, float]]]] = {}
     for part, name, bound, unit, backend, found in rows:
         parts.setdefault(part, {}).setdefault((name, bound, unit), []).append((backend, found))
-    sections = {}
+    made: dict[str, list[list[str]]] = {}
     for part, cases in parts.items():
-        text = f"{part}\n\n| case | worst error | bound | | computed by |\n|---|---|---|---|---|\n"
         for (name, bound, unit), errors in cases.items():
             worst = max(found for _, found in errors)
             backends = ", ".join(dict.fromkeys(backend for backend, _ in errors))
-            text += f"| {name} | {worst:.2g} | {bound:.2g} | {unit} | {backends} |\n"
-        sections[part] = text
-    return sections
+            made.setdefault(part, []).append([part, name, f"{worst:.2g}", f"{bound:.2g}", unit, backends])
+    return made

@@ -1,8 +1,8 @@
-"""Claims about the hard cases as such: what fails, what is refused, and what their page shows."""
+"""Claims about the hard cases as such: what fails, what is refused, and what their table shows."""
 
+import csv
 import importlib
 import math
-import re
 from pathlib import Path
 
 import pytest
@@ -10,7 +10,7 @@ import pytest
 from tests.stability.case import Case, available, refusal, worse
 
 HERE = Path(__file__).resolve().parent
-PAGE = HERE.parents[1] / "docs" / "stability.md"
+TABLE = HERE.parents[1] / "docs" / "tables" / "stability" / "cases.csv"
 FILE = """
 from tests.stability.case import Part
 
@@ -28,29 +28,30 @@ def test_the_error_stays_within_its_bound(case, setting, error):
 
 
 def run(pytester: pytest.Pytester, errors: str) -> tuple[dict[str, int], str]:
-    """How the two settings of a case with these errors end, and the page that takes them."""
+    """How the two settings of a case with these errors end, and the table that takes them."""
     pytester.makeconftest("from tests.stability.conftest import *")
     pytester.makepyfile(FILE.format(errors=errors))
-    page = pytester.path / "page.md"
-    page.write_text("# Page\n\n## Measured\n\n### made_up\n\nold\n\n### another\n\nold\n")
-    done = pytester.runpytest_inprocess("--hard-cases", page, "-p", "no:cacheprovider")
-    return done.parseoutcomes(), page.read_text()
+    table = pytester.path / "cases.csv"
+    table.write_text("part,case\nmade_up,old\nanother,old\n")
+    done = pytester.runpytest_inprocess("--hard-cases", table, "-p", "no:cacheprovider")
+    return done.parseoutcomes(), table.read_text()
 
 
 @pytest.mark.parametrize("error", ["float('nan')", "float('inf')", "2e-3"])
-def test_an_error_that_is_no_number_or_too_large_fails_and_leaves_the_page(
+def test_an_error_that_is_no_number_or_too_large_fails_and_leaves_the_table(
     pytester: pytest.Pytester, error: str
 ) -> None:
-    outcome, page = run(pytester, f"[1e-4, {error}]")
+    outcome, table = run(pytester, f"[1e-4, {error}]")
     assert (outcome["passed"], outcome["failed"]) == (1, 1)
-    assert page.count("old\n") == 2
+    assert table.count("old\n") == 2
 
 
-def test_an_error_at_the_bound_holds_and_the_page_shows_the_worst_setting(pytester: pytest.Pytester) -> None:
-    outcome, page = run(pytester, "[1e-4, 1e-3]")
+def test_an_error_at_the_bound_holds_and_the_table_shows_the_worst_setting(pytester: pytest.Pytester) -> None:
+    outcome, table = run(pytester, "[1e-4, 1e-3]")
     assert outcome["passed"] == 2
-    assert page.startswith("# Page\n\n## Measured\n\n### made_up\n\n| case |")
-    assert page.endswith("|\n| a case | 0.001 | 0.001 | relative | torch |\n\n### another\n\nold\n")
+    assert table == (
+        "part,case,worst error,bound,unit,computed by\nmade_up,a case,0.001,0.001,relative,torch\nanother,old\n"
+    )
 
 
 def cases() -> dict[str, list[Case]]:
@@ -60,12 +61,12 @@ def cases() -> dict[str, list[Case]]:
     return {part.name: part.cases for part in parts}
 
 
-def test_the_page_has_every_case_with_its_bound() -> None:
+def test_the_table_has_every_case_with_its_bound() -> None:
     """`python scripts/make_docs.py docs/stability.md` makes it anew."""
-    found = {}
-    for section in PAGE.read_text(encoding="utf-8").split("### ")[1:]:
-        rows = re.findall(r"^\| (.*) \| \S+ \| (\S+) \| (.*) \| .* \|$", section, re.M)
-        found[section.partition("\n")[0]] = rows
+    found: dict[str, list[tuple[str, str, str]]] = {}
+    with TABLE.open(encoding="utf-8", newline="") as file:
+        for row in csv.DictReader(file):
+            found.setdefault(row["part"], []).append((row["case"], row["bound"], row["unit"]))
     assert found == {
         part: [(case.name, f"{case.bound:.2g}", case.unit) for case in cases] for part, cases in cases().items()
     }

@@ -1,4 +1,4 @@
-"""Curves as Markdown: a table a knob, and a sentence on its default."""
+"""Curves as Markdown: a table a knob, and a sentence on its default; of all knobs, one table of their defaults."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -31,6 +31,35 @@ def _table(knob: str, points: Sequence[Point]) -> str:
         ]  # fmt: skip
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join([*lines, "", said(points), ""])
+
+
+def defaults(points: Sequence[Point]) -> str:
+    """The defaults of all knobs of some curves in one table, Markdown."""
+    units = {point["error_unit"].replace("|", r"\|") for point in points}
+    head = f"error ({units.pop()})" if len(units) == 1 else "error"  # one of many units stands with its number
+    lines = [f"| knob | default | processor s | {head} | on the front |", "|---|---|---|---|---|"]
+    for knob, setting, default, seconds, _, error, unit, _, front, _ in joined(points)[1:]:
+        if default:
+            own = f" ({unit})".replace("|", r"\|") if head == "error" else ""
+            lines.append(f"| {knob.partition('.')[2]} | {setting} | {seconds} | {error}{own} | {front} |")
+    return "\n".join(lines)
+
+
+def joined(points: Sequence[Point]) -> list[list[str]]:
+    """The tables of all knobs as one, a row a setting; the head first."""
+    rows = [["knob", "setting", "default", "processor s", "wall s", "error", "unit", "lost to the default",
+             "on the front", "reason"]]  # fmt: skip
+    for knob in dict.fromkeys(point["knob"] for point in points):
+        own = [point for point in points if point["knob"] == knob]
+        for point in own:
+            rows.append([
+                knob, setting_text(point["setting"]), "yes" if point["default"] else "",
+                f"{point['cpu_seconds']:.3g}", f"{point['seconds']:.3g}",
+                with_spread(point["error"], point["error_sd"], point["repeats"]), point["error_unit"],
+                _decibels(point) if "RMSE of held-out views" in point["error_unit"] else "",
+                "yes" if point["front"] else "", said(own) if point["default"] else "",
+            ])  # fmt: skip
+    return rows
 
 
 def _decibels(point: Point) -> str:

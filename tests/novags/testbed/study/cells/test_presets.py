@@ -209,8 +209,8 @@ def test_a_network_without_weights_is_refused_before_a_picture_is_taken(tmp_path
     adapted(EXPERIMENTS["demo"], methods=("sci-gs", "zero-dce-gs")).refuse_lacking()  # which learn from the scene
 
 
-def test_the_page_of_curves_states_the_presets_as_they_are() -> None:
-    page = (Path(__file__).resolve().parents[5] / "docs" / "accuracy-and-time.md").read_text(encoding="utf-8")
+def test_the_page_of_budgets_states_the_presets_as_they_are() -> None:
+    page = (Path(__file__).resolve().parents[5] / "docs" / "budgets.md").read_text(encoding="utf-8")
     lines = [line.strip("| ").split(" | ") for line in page.splitlines() if line.startswith("| ")]
     head = next(line for line in lines if line[0] == "setting")
     stated = {line[0]: dict(zip(head[1:], line[1:], strict=True)) for line in lines if len(line) == len(head)}
