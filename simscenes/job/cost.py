@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import importlib.metadata
+import math
 import resource
 import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from simscenes.render.radiance import RenderedView, RenderMethod
+from simscenes.render.radiance import FIRST, MAX_SPP, FirstSamples, RenderedView, RenderMethod
 from simscenes.rigs import Rig
 
 PART = 1 / 64  # of the samples of a job, twice, to predict the time of the others
@@ -48,14 +49,31 @@ def predict_seconds(
     With `target_error` from pilots of up to three of `views`, which keep them as their first samples: that costs
     nothing. Else from some pixels of the first view, at about 3 % of the job: they are timed on their second run, when
     the kernel, which the job shares, is compiled.
+
+    Raises:
+        ValueError: If one of these pilots says that the target takes more samples than a view may have.
     """
     numbers, worth = sorted(views), len(views) if worth is None else worth
     if target_error is not None:
         chosen = sorted({numbers[0], numbers[len(views) // 2], numbers[-1]})
+        _check_reach({i: views[i].pilot for i in chosen}, target_error)
         each = [views[i].pilot.seconds * views[i].predict_spp(target_error) for i in chosen]
         return sum(each) / len(each) * worth
     first = RenderedView(method, rig, numbers[0])  # a view of its own: `views` must not depend on the prediction
     return first.seconds(spp or 2, PART * worth) * worth
+
+
+def _check_reach(pilots: dict[int, FirstSamples], target: float) -> None:
+    worst = max(pilots, key=lambda i: pilots[i].error)
+    needed = FIRST * (pilots[worst].error / target) ** 2
+    if needed > MAX_SPP:
+        nearest = math.ceil(100 * pilots[worst].error * math.sqrt(FIRST / MAX_SPP)) / 100
+        raise ValueError(
+            f"a relative error of {target:.3g} is out of reach: view {worst} would take about {needed:,.0f} samples "
+            f"per pixel, {needed * pilots[worst].seconds:,.0f} s, and may have {MAX_SPP:,}; few paths carry much of "
+            "its light (small lamps seen in glass, in metal or through fog). "
+            f"Ask for {nearest:g} or more, or for a number of samples"
+        )
 
 
 def peak_bytes() -> int:

@@ -16,6 +16,7 @@ from simscenes.job.accuracy import noise_limits
 from simscenes.job.cost import Stopwatch, peak_bytes, predict_seconds, versions
 from simscenes.job.views import LIMITS, RenderJob, render_views
 from simscenes.render import radiance
+from simscenes.render.radiance import FirstSamples
 
 RIG = orbit_rig(12, 6, 4, 40, radius=3.0)
 
@@ -77,7 +78,7 @@ def test_towards_a_target_error_three_pilots_say_how_many() -> None:
 
     def waiting(needed: dict[int, tuple[int, float]]) -> dict[int, Any]:
         return {
-            i: SimpleNamespace(pilot=SimpleNamespace(seconds=each), predict_spp=lambda e, n=n: round(n / e))
+            i: SimpleNamespace(pilot=FirstSamples(0.2, each), predict_spp=lambda e, n=n: round(n / e))
             for i, (n, each) in needed.items()
         }
 
@@ -85,6 +86,16 @@ def test_towards_a_target_error_three_pilots_say_how_many() -> None:
     predicted = predict_seconds("any", RIG, views, None, 0.1)  # type: ignore[arg-type]
     assert predicted == pytest.approx((30 * 0.5 + 50 * 0.25 + 130 * 2.0) / 3 * 5)
     assert predict_seconds("any", RIG, waiting({4: (7, 0.5)}), None, 0.1) == pytest.approx(35)  # type: ignore[arg-type]
+
+
+def test_an_error_out_of_reach_is_refused_with_the_nearest_that_is_not() -> None:
+    """0.8 (25.6 / 0.05)^2 = 209,715 samples; 65,536 bring 25.6 down to 0.0894."""
+    pilots = {0: FirstSamples(3.0, 0.5), 4: FirstSamples(25.6, 0.5)}
+    views: Any = {i: SimpleNamespace(pilot=one, predict_spp=lambda e: 7) for i, one in pilots.items()}
+    said = "error of 0.05 is out of reach: view 4 would take about 209,715 .* 104,858 s, .* 65,536; .* Ask for 0.09 or"
+    with pytest.raises(ValueError, match=said):
+        predict_seconds("any", RIG, views, None, 0.05)  # type: ignore[arg-type]
+    assert predict_seconds("any", RIG, views, None, 0.09) == pytest.approx(7)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
