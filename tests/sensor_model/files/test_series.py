@@ -113,6 +113,7 @@ start = 0.0
 residual = 0.0
 [iso.100]
 gain = 1
+cfa = "GBRG"
 sigma_d = 1
 sigma_row = 0.5
 mu_e_sat = inf
@@ -142,6 +143,7 @@ def test_between_two_isos_numbers_lie_between_and_all_else_is_the_nearer_ones(tm
     low, high = (read_sensor(f"{tmp_path / 'mine.toml'}@{iso}") for iso in (200, 800))
     assert (low.gain, high.gain) == pytest.approx((2.0, 8.0))
     assert (low.sigma_d, high.sigma_d) == pytest.approx((2.0, 4.0))
+    assert (low.cfa, high.cfa) == ("GBRG", "RGGB")
     assert (low.sigma_row, high.sigma_row) == (0.5, 0.0)
     assert (low.sigma_column, high.sigma_column) == (0.0, 0.7)
     assert (low.mu_e_sat, high.mu_e_sat) == (inf, 8000.0)
