@@ -82,7 +82,7 @@ def test_noise_that_is_mostly_below_a_code_leaves_no_pattern_in_maps(tmp_path: P
 
 
 def test_a_camera_has_a_line_of_gain_for_each_side_of_its_switch(tmp_path: Path) -> None:
-    """Dark frames alone: gain is 0.1 DN/e- at ISO 100 and 14 bits, and white is as many electrons."""
+    """Dark frames alone: gain is 0.1 DN/e- at ISO 100 and 14 bits, and the converter saturates first."""
     for iso, noise in ((100, 8.0), (200, 8.0), (800, 1.5), (1600, 1.5)):
         normal = np.random.default_rng(iso).normal(size=(6, *SHAPE))
         codes = np.rint(BLACK + 0.001 * iso * noise * normal).astype(np.uint16)
