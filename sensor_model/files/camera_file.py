@@ -110,17 +110,21 @@ def _at(iso: float | None, tables: Mapping[float, dict[str, Any]], fit: GainFit 
         raise ValueError(f"ISO must be one of {isos}, or between two that one [[gain_fit]] joins, got {iso:g}: others "
                          "may be behind a switch of the gain; measure it, or take one of these")  # fmt: skip
     share = log(iso / low) / log(high / low)
-    between = {key: _between(value, tables[high].get(key, value), share) for key, value in tables[low].items()}
+    between = _between(tables[low], tables[high], share)
     return {**{key: value for key, value in between.items() if key != "maps"}, "gain": fit.gain(iso)}
 
 
 def _between(low: Any, high: Any, share: float) -> Any:
-    """A value between two of a camera file; what is no number is the nearer one's."""
-    if isinstance(low, dict) and isinstance(high, dict):
-        return {key: _between(value, high.get(key, value), share) for key, value in low.items()}
-    if isinstance(low, list) and isinstance(high, list) and len(low) == len(high):
-        return [_between(a, b, share) for a, b in zip(low, high, strict=True)]
-    if low != high and _is_number(low) and _is_number(high) and max(low, high) < inf:
+    """A value between two of a camera file: the nearer one unless both are finite numbers; a count stays whole."""
+    ends = (low, high)
+    if all(isinstance(end, dict) for end in ends):
+        both = {
+            key: _between(low.get(key), high.get(key), round(share) if key in WHOLE else share) for key in low | high
+        }
+        return {key: value for key, value in both.items() if value is not None}
+    if all(isinstance(end, list) for end in ends) and len(low) == len(high):
+        return [_between(*pair, share) for pair in zip(*ends, strict=True)]
+    if low != high and all(map(_is_number, ends)) and inf not in ends:
         return low + share * (high - low)
     return low if share < 0.5 else high
 

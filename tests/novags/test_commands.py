@@ -6,6 +6,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 Call = Callable[..., int]
@@ -92,6 +93,29 @@ def test_scores_are_said_of_every_place_that_runs_lie_in(
     monkeypatch.setattr(results, "_in_words", lambda mean, place, name: place.title)
     assert call("score", str(tmp_path), str(tmp_path / "other")) == 0
     assert capsys.readouterr().out.split("\n")[:-1] == ["at a:", "naive: at a", "at b:", "naive: at b"]
+
+
+def test_a_camera_at_several_isos_has_a_file_of_maps_for_each(
+    call: Call, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    from novags.testbed.importing.calibration import camera
+    from sensor_model import PRESETS, Measured
+    from sensor_model.files.camera_file import read_camera, read_maps
+
+    def setting(iso: int) -> camera.MeasuredSetting:
+        maps = Measured(offset=np.full((8, 8), iso, np.float32), response=np.ones((8, 8), np.float32))
+        return camera.MeasuredSetting(sensor=PRESETS[f"a7s2-iso{iso}"], found=None, assumed={}, test=(), maps=maps,
+                                      profile=None)  # fmt: skip
+
+    made = camera.OwnCamera(settings={iso: setting(iso) for iso in (100, 1600, 6400)}, fits=())
+    monkeypatch.setattr(camera, "characterise_folder", lambda *_, **__: made)
+    assert call("characterise", str(tmp_path), "--maps", "--out", str(tmp_path / "mine.toml")) == 0
+    for iso in made.settings:
+        found = read_camera(f"{tmp_path / 'mine.toml'}@{iso}")
+        assert found.sensor == PRESETS[f"a7s2-iso{iso}"]
+        assert found.maps == tmp_path / f"mine-iso{iso}.npz"
+        assert found.maps is not None
+        assert (read_maps(found.maps, (8, 8)).offset == iso).all()
 
 
 def test_an_effect_is_written_with_its_camera_or_not_at_all(

@@ -18,6 +18,7 @@ from sensor_model import (
     plan_effects,
     raw_noise,
 )
+from sensor_model.capture import expose_burst, mean_of
 from sensor_model.effect_list import EFFECT_LIST, OwnEffect
 from sensor_model.mosaicking import channel_index
 
@@ -127,6 +128,23 @@ def test_the_fixed_pattern_of_the_pixels_is_noise_to_a_method(charge, nonlineari
     assert_variance(dn, curves[0].variance(mean))
     added = curves[0].variance(mean) - curves[1].variance(mean)
     assert added == pytest.approx(1.7**2 * (2.0**2 + (0.02 * charge * slope) ** 2))
+
+
+@pytest.mark.parametrize("frames", [1, 2, 16])
+def test_the_mean_of_a_burst_has_less_temporal_noise_and_the_whole_pattern(frames):
+    """In each of three channels. Without lines and bands, whose few draws make a sample variance of their own."""
+    sensor = replace(NOISY, sigma_row=0.0, sigma_column=0.0, banding=None)
+    light = np.broadcast_to(np.array([50.0, 400.0, 2500.0]) / sensor.eta, (200, 200, 3))
+    mean = mean_of(expose_burst(light, sensor, EXPOSURE, frames=frames, seed=0, view=0))
+    levels = mean.dn.mean((0, 1))
+    curve = raw_noise(sensor, EXPOSURE, frames=frames)
+    assert_variance(mean.dn.reshape(-1, 3).astype(np.float64), curve.variance(levels), axis=0)
+    with_pattern, without = (raw_noise(sensor, EXPOSURE, fixed_pattern=of, frames=frames) for of in (True, False))
+    alone = [raw_noise(sensor, EXPOSURE, fixed_pattern=of) for of in (True, False)]
+    pattern = [more.variance(levels) - less.variance(levels) for more, less in ((with_pattern, without), alone)]
+    np.testing.assert_allclose(*pattern, rtol=1e-9)
+    rounding = 1 / 12 if frames > 1 else 0.0  # of the mean, beside a share of each frame's
+    np.testing.assert_allclose(without.variance(levels), alone[1].variance(levels) / frames + rounding, rtol=1e-9)
 
 
 @pytest.mark.parametrize("nonlinearity", [0.02, 0.1, 0.2])

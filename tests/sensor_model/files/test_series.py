@@ -2,13 +2,16 @@
 
 import re
 from dataclasses import replace
+from math import inf
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
-from sensor_model import PRESETS, read_sensor, write_sensor
+from sensor_model import PRESETS, Banding, Defects, DualGain, Measured, SensorOptics, read_sensor, write_sensor
 from sensor_model.characterisation import gain_fits
-from sensor_model.files.camera_file import read_camera, split_iso
+from sensor_model.files.camera_file import read_camera, read_maps, split_iso, write_maps
 
 STOPS = (100, 200, 400, 800, 1600, 3200, 6400, 12800, 25600)
 A7S2 = {iso: PRESETS[f"a7s2-iso{iso}"] for iso in STOPS}
@@ -86,6 +89,98 @@ def test_an_iso_between_two_has_the_gain_of_the_line_and_noise_between_theirs(tm
     assert between.sigma_d == pytest.approx((A7S2[400].sigma_d + A7S2[800].sigma_d) / 2, rel=1e-3)
     assert between.tukey_lambda == pytest.approx((A7S2[400].tukey_lambda + A7S2[800].tukey_lambda) / 2, rel=1e-2)
     assert (between.bits, between.cfa, between.mu_e_sat) == (14, "RGGB", A7S2[400].mu_e_sat)
+
+
+@pytest.mark.parametrize(
+    ("iso", "gain"), [(141, 0.0009563 * 141), (4525, 0.0009563 * 4525), (17960, 0.0009563 * 17960)]
+)
+def test_the_gain_between_two_isos_is_that_of_their_own_side_of_the_switch(
+    iso: int, gain: float, tmp_path: Path
+) -> None:
+    found = read_camera(f"{write(tmp_path / 'mine.toml')}@{iso}")
+    assert found.sensor.gain == pytest.approx(gain, rel=2e-3)
+    assert found.fit == next(fit for fit in fits_of(A7S2) if fit.isos[0] < iso < fit.isos[1])
+
+
+TWO = """
+bits = 12
+eta = 0.5
+black_level = 64
+[[gain_fit]]
+isos = [100, 1600]
+slope = 0.01
+start = 0.0
+residual = 0.0
+[iso.100]
+gain = 1
+cfa = "GBRG"
+sigma_d = 1
+sigma_row = 0.5
+mu_e_sat = inf
+dark_doubling = 6
+rgb_response = [0.4, 1, 0.8]
+banding = {amplitude = 2, period = 9}
+defects = {hot_fraction = 0.1, hot_factor = 10, rts_traps = 1}
+optics = {falloff = [1, 0.5], sensor_shape = [30, 40]}
+[iso.1600]
+gain = 16
+sigma_d = 5
+sigma_column = 0.7
+mu_e_sat = 8000
+dark_doubling = inf
+rgb_response = [0.8, 1, 0.4]
+rgb_bias = [1, 0, 2]
+dual_gain = {threshold = 500, sigma_d = 9, ratio = 8}
+defects = {hot_fraction = 0.5, rts_factor = 3, rts_traps = 4}
+optics = {falloff = [1, 0.75, 0.25]}
+"""
+
+
+def test_between_two_isos_numbers_lie_between_and_all_else_is_the_nearer_ones(tmp_path: Path) -> None:
+    """A quarter and three quarters of the way by the logarithm. Hot pixels or noise of columns may be found at one
+    ISO alone, tables differ in length, and a count stays whole."""
+    (tmp_path / "mine.toml").write_text(TWO)
+    low, high = (read_sensor(f"{tmp_path / 'mine.toml'}@{iso}") for iso in (200, 800))
+    assert (low.gain, high.gain) == pytest.approx((2.0, 8.0))
+    assert (low.sigma_d, high.sigma_d) == pytest.approx((2.0, 4.0))
+    assert (low.cfa, high.cfa) == ("GBRG", "RGGB")
+    assert (low.sigma_row, high.sigma_row) == (0.5, 0.0)
+    assert (low.sigma_column, high.sigma_column) == (0.0, 0.7)
+    assert (low.mu_e_sat, high.mu_e_sat) == (inf, 8000.0)
+    assert (low.dark_doubling, high.dark_doubling) == (6.0, inf)
+    assert low.rgb_response == pytest.approx((0.5, 1.0, 0.7))
+    assert high.rgb_response == pytest.approx((0.7, 1.0, 0.5))
+    assert (low.rgb_bias, high.rgb_bias) == ((0.0, 0.0, 0.0), (1.0, 0.0, 2.0))
+    assert (low.banding, high.banding) == (Banding(amplitude=2.0, period=9.0), None)
+    assert (low.dual_gain, high.dual_gain) == (None, DualGain(threshold=500.0, sigma_d=9.0, ratio=8.0))
+    assert low.optics == SensorOptics(falloff=(1.0, 0.5), sensor_shape=(30, 40))
+    assert high.optics == SensorOptics(falloff=(1.0, 0.75, 0.25))
+    found = [(of.hot_fraction, of.hot_factor, of.rts_factor, of.rts_traps) for of in (low.defects, high.defects)]
+    assert found == [pytest.approx((0.2, 10.0, 1.0, 1)), pytest.approx((0.4, 1.0, 3.0, 4))]
+
+
+def test_every_part_of_every_camera_of_a_series_reads_back(tmp_path: Path) -> None:
+    several = replace(A7S2[100], banding=Banding(amplitude=1.0, period=9.0), optics=SensorOptics(corner_angle=20.0))
+    cameras = {100: several, 400: replace(A7S2[400], defects=Defects(hot_fraction=0.1, hot_factor=9.0))}
+    write_sensor(tmp_path / "mine.toml", cameras)
+    assert {iso: read_sensor(f"{tmp_path / 'mine.toml'}@{iso}") for iso in cameras} == cameras
+
+
+def test_the_middle_of_both_maps_of_a_camera_is_read_back(tmp_path: Path) -> None:
+    offset = np.arange(80, dtype=np.float32).reshape(8, 10)
+    write_maps(tmp_path / "mine.npz", Measured(offset=offset, response=1 + offset))
+    found = read_maps(tmp_path / "mine.npz", (4, 6))
+    np.testing.assert_array_equal(found.offset, offset[2:6, 2:8])
+    np.testing.assert_array_equal(found.response, 1 + offset[2:6, 2:8])
+
+
+@pytest.mark.parametrize("name", ["offset", "response"])
+@pytest.mark.parametrize("damage", [lambda array: array[:, :-1], lambda array: array * np.inf])
+def test_a_map_that_is_not_whole_is_refused_whichever_it_is(damage: Any, name: str, tmp_path: Path) -> None:
+    maps = dict.fromkeys(("offset", "response"), np.ones((8, 10)))
+    np.savez(tmp_path / "mine.npz", **maps | {name: damage(maps[name])})
+    with pytest.raises(ValueError, match="mine.npz: maps must be finite"):
+        read_maps(tmp_path / "mine.npz", (4, 6))
 
 
 @pytest.mark.parametrize("iso", ["50", "2000", "51200"])

@@ -126,7 +126,7 @@ def along(curve: Sequence[Option], share: float) -> Option:
     parts = sorted(low.factors.keys() & high.factors.keys())
     factors = {part: low.factors[part] ** (1 - t) * high.factors[part] ** t for part in parts}
     return Option(
-        name=low.name, share=share, factors=factors,
+        name=curve[0].name, share=share, factors=factors,
         lost=low.lost + t * (high.lost - low.lost), sd=max(low.sd, high.sd),
     )  # fmt: skip
 

@@ -172,6 +172,17 @@ def test_listed_files_that_are_missing_are_skipped_with_a_note(suffix: str, tmp_
     np.testing.assert_allclose(source.rig.viewmats, orbit_rig(3, 40, 30, 50.0, radius=3.0).viewmats[[0, 2]], atol=1e-9)
 
 
+def test_linear_files_beside_the_pictures_that_a_file_lists_are_taken_for_every_view(tmp_path: Path) -> None:
+    """The camera file names pictures that were developed; the last of three has no linear file."""
+    folder = photographs(tmp_path, ".exr")
+    (folder / "images" / "0002.exr").unlink()
+    content = (folder / "transforms.json").read_text()
+    (folder / "transforms.json").write_text(content.replace(".exr", ".png"))
+    source = open_source(folder, QUIET)
+    assert source.views.names == ("0000", "0001")
+    assert [file.name for file in source.views.files] == ["0000.exr", "0001.exr"]
+
+
 def test_noise_around_black_in_a_photograph_counts_as_zero_and_is_said(tmp_path: Path) -> None:
     folder, stream = photographs(tmp_path, ".exr"), io.StringIO()
     write_exr(folder / "images" / "0001.exr", spoilt(-1e-3))

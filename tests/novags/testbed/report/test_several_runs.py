@@ -5,6 +5,8 @@ import re
 import sys
 from copy import deepcopy
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -16,7 +18,7 @@ from novags.testbed.console.terminal import Console  # noqa: E402
 from novags.testbed.folders.runs import runs_in  # noqa: E402
 from novags.testbed.metrics.differences import Estimate  # noqa: E402
 from novags.testbed.report.page import write_reports  # noqa: E402
-from novags.testbed.report.place import places_in  # noqa: E402
+from novags.testbed.report.place import places_in, title_of  # noqa: E402
 from novags.testbed.stages.configs.capturing import CaptureConfig  # noqa: E402
 from tests.fuzz.readers.records import make_run  # noqa: E402
 
@@ -69,6 +71,16 @@ def test_runs_of_a_folder_of_experiments_have_names_that_differ(runs: Path) -> N
     assert list(runs_in([runs / "two", runs / "two" / "naive"])) == ["naive", "oracle"]
     with pytest.raises(ValueError, match="holds no finished run: neither a run.json"):
         runs_in([runs / "one" / "set" / "images"])
+
+
+@pytest.mark.parametrize(
+    ("variety", "title"), [("", "hall, 5 electrons, mine"), ("jpeg", "hall, 5 electrons, jpeg, mine")]
+)
+def test_the_title_of_a_capture_says_scene_electrons_and_camera(variety: str, title: str) -> None:
+    record = SimpleNamespace(simulated=SimpleNamespace(electrons=5.0), variety=variety, sensor_name="mine")
+    lit: Any = SimpleNamespace(views=SimpleNamespace(meta={"scene": "hall"}))
+    capture: Any = SimpleNamespace(record=record)
+    assert title_of(capture, lit) == title
 
 
 def test_only_runs_of_one_capture_are_compared_and_bounds_are_found_among_them(runs: Path) -> None:

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import cv2
 import numpy as np
@@ -16,13 +17,13 @@ import pytest
 from novags.testbed import stages
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import open_capture
-from novags.testbed.folders.set import Source
-from novags.testbed.stages import planning
+from novags.testbed.folders.set import Source, open_source
+from novags.testbed.stages import capturing, planning
 from novags.testbed.stages.capturing import expose_view
 from novags.testbed.stages.configs.capturing import CaptureConfig
 from novags.testbed.stages.planning import PILOT, light_plan, sensor_plan
 from novags.testbed.stages.rendering import render_views
-from sensor_model import PRESETS, Exposure, read_sensor, srgb_to_linear, write_sensor
+from sensor_model import PRESETS, Exposure, plan_effects, read_sensor, srgb_to_linear, write_sensor
 from simscenes import SparsePoints, load_set, orbit_rig
 from simscenes.sets.multiview import write_cameras
 from simscenes.sets.pictures.exr import read_exr, write_exr
@@ -375,6 +376,16 @@ def test_another_seed_takes_other_pictures_and_the_same_seed_the_same(tmp_path: 
         assert told[0] < told[len(told) // 2] < told[-1]
         codes.append(np.stack([capture.raw(i) for i in range(3)]).tobytes())
     assert codes[0] == codes[1] != codes[2]
+
+
+def test_the_plan_is_made_for_the_longest_exposure_of_all_views(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    planned = Mock(wraps=plan_effects)
+    monkeypatch.setattr(capturing, "plan_effects", planned)
+    config = CaptureConfig(electrons=20.0, bracket=2.0)
+    capturing.meter(open_source(photographs(tmp_path), QUIET), config, QUIET)
+    assert planned.call_args.args[1].time == pytest.approx(4 * config.time)
 
 
 def test_an_exposure_has_the_noise_of_its_seed_and_of_its_view() -> None:

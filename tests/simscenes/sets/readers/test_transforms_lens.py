@@ -13,7 +13,7 @@ from simscenes import load_set, orbit_rig
 from simscenes.rigs import opencv_to_opengl
 from simscenes.sets.pictures.png import write_png
 from simscenes.sets.readers.lens import DistortedPinhole
-from simscenes.sets.readers.photographs import rig_of, transforms_lens
+from simscenes.sets.readers.photographs import collect, rig_of, transforms_lens
 
 WIDTH, HEIGHT = 40, 30
 X, Y = 0.9, 0.5  # rad
@@ -60,6 +60,18 @@ def test_pictures_of_several_sizes_are_refused_with_an_example_of_each(tmp_path:
     write_png(folder_of(tmp_path, fl_x=33.0) / "1.png", np.zeros((HEIGHT + 1, WIDTH, 3), np.uint8))
     with pytest.raises(ValueError, match=r"must share one size, got 40 x 30 \(0.png\), 40 x 31 \(1.png\); resize"):
         load_set(tmp_path)
+
+
+def test_pictures_of_several_sizes_in_several_folders_are_named_from_the_folder_that_holds_all(tmp_path: Path) -> None:
+    viewmats, files = (
+        orbit_rig(2, WIDTH, HEIGHT, 50.0, radius=3.0).viewmats,
+        [tmp_path / "a/0.png", tmp_path / "b/0.png"],
+    )
+    for k, file in enumerate(files):
+        write_png(file, np.zeros((HEIGHT + k, WIDTH, 3), np.uint8))
+    lens = DistortedPinhole(K=np.eye(3), distortion=(0.0,) * 5)
+    with pytest.raises(ValueError, match=r"one size, got 40 x 30 \(a/0.png\), 40 x 31 \(b/0.png\); resize"):
+        collect(files, viewmats, (0, 1), tmp_path / "there", lambda *_: lens)
 
 
 @pytest.mark.parametrize(
@@ -144,6 +156,8 @@ def test_a_lens_that_folds_the_corners_of_its_picture_is_said_whichever_camera_h
     lenses = [DistortedPinhole(K=K, distortion=(k1, 0.0, 0.0, 0.0, 0.0)) for k1 in (-0.1, -0.4)]
     assert [lens.folded(WIDTH, HEIGHT) > 0 for lens in lenses] == [False, True]
     viewmats = orbit_rig(2, WIDTH, HEIGHT, 50.0, radius=3.0).viewmats
-    with pytest.warns(UserWarning, match=r"the distortion that there states turns \d+ px from the centre"):
+    least = f"{lenses[1].turn_px():.0f} px"
+    assert least != f"{lenses[0].turn_px():.0f} px"
+    with pytest.warns(UserWarning, match=f"the distortion that there states turns {least} from the centre"):
         _, found = rig_of((0, 1), viewmats, order, Path("there"), lambda k, *_: lenses[k], (WIDTH, HEIGHT))
     assert found == tuple(lenses[k] for k in order)

@@ -66,12 +66,12 @@ def test_the_axes_of_a_panel_hold_all_points_and_their_bars(
     drawn = list[Any]()
     chart = SimpleNamespace(at=lambda x, y: (x, y), inside=lambda: "", box=(0, 0, 1, 1))
     monkeypatch.setattr(module, "Chart", lambda *a, **b: drawn.append(a) or chart)
-    for errors, logarithmic in (((9.0, 1.0, 6.0, 5.0), True), ((9.0, 8.0, 8.5, 8.25), False)):
-        _panel("nova.steps", [{**points[k], "error": errors[k], "error_sd": 0.1} for k in order])
+    for errors, spread, logarithmic in (((9.0, 1.0, 6.0, 5.0), 0.4, True), ((9.0, 8.0, 8.5, 8.25), 2.0, False)):
+        _panel("nova.steps", [{**points[k], "error": errors[k], "error_sd": spread} for k in order])
         _, x, y, series, *_ = drawn[-1]
         assert y.logarithmic == logarithmic
         low, high = (10**end if logarithmic else end for end in (y.low, y.high))
-        assert (low <= min(errors) - 0.1, high >= max(errors) + 0.1) == (True, True)
+        assert (low <= min(errors) - spread, high >= max(errors) + spread) == (True, True)
         assert (x.low <= math.log10(0.8), x.high >= math.log10(10.0)) == (True, True)
         assert len(series) == 5
 

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from novags.testbed.folders import capture as captures
 from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.folders.references import enhanced_truth
 from novags.testbed.folders.run import Run, open_run
+from novags.testbed.metrics.images import aligned_psnr
 from novags.testbed.report.blocks.length import length
 from novags.testbed.report.material import material_of
 from novags.testbed.report.page import write_report
@@ -22,6 +24,7 @@ from novags.testbed.report.place import places_in
 from novags.testbed.stages.configs.reconstructing import ReconstructConfig
 from novags.testbed.stages.explaining.swaps import Case
 from novags.testbed.stages.reconstructing import holding_out
+from novags.testbed.stages.scores import lengths
 from novags.testbed.stages.scores.lengths import Stops, held_out_scores, length_columns, lengths_of
 from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
 from novags.testbed.study.results import flat_scores
@@ -124,6 +127,28 @@ def test_the_picture_without_noise_wins_against_one_that_fits_its_own_noise(
     assert found is not None
     assert sorted(found["psnr"], key=found["psnr"].get) == [10, 30, 20]
     assert found["stop"] == 20
+
+
+def test_a_length_is_judged_by_all_views_that_were_held_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of two the second alone tells that the shorter fit is the better one."""
+    pictures = np.random.default_rng(0).uniform(0, 1, (3, 12, 16, 3)).astype(np.float32)
+    monkeypatch.setattr(lengths, "enhanced_dark", lambda capture, i, enhancement: pictures[i])
+    monkeypatch.setattr(lengths, "pictured", lambda run, capture, rendering: rendering)
+    errors = {"a": {10: 0.2, None: 0.1}, "c": {10: 0.01, None: 0.1}}
+
+    def run(at: int | None, along: tuple[Any, ...] = ()) -> Any:
+        noise = np.random.default_rng(1).standard_normal((12, 16, 3)).astype(np.float32)
+        shown = {name: pictures["abc".index(name)] + each[at] * noise for name, each in errors.items()}
+        return SimpleNamespace(held=["a", "c"], enhancement="guided", at=at, iterations=30, along=lambda: along,
+                               rendering=shown.__getitem__)  # fmt: skip
+
+    capture: Any = SimpleNamespace(names=("a", "b", "c"))
+    found = held_out_scores(run(None, (run(10),)), capture)
+    assert found is not None
+    shown = [run(10).rendering(name) for name in "ac"]
+    each = [aligned_psnr(picture, pictures["abc".index(name)]) for name, picture in zip("ac", shown, strict=True)]
+    assert found["psnr"][10] == pytest.approx(np.mean(each))  # type: ignore[arg-type]
+    assert found["stop"] == 10
 
 
 def test_nothing_changes_for_a_run_that_holds_nothing_out(runs: dict[str, Run]) -> None:

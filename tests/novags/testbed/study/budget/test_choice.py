@@ -102,6 +102,7 @@ def test_curves_of_two_methods_are_united_at_the_shares_of_either_and_their_loss
         found = united(curves)
         assert [option.share for option in found] == [0.5, 1.0]
         assert [option.lost for option in found] == pytest.approx([2.0, 0.0])
+        assert [option.sd for option in found] == pytest.approx([math.hypot(0.1, 0.3) / 2, 0.0])
         assert found[0].factors == pytest.approx({"fit": 0.5, "nerf": 0.4, "sort": 0.2})
 
 

@@ -223,6 +223,10 @@ WRONG: dict[str, tuple[str, str]] = {
     "rig and axis": (
         "[grid]\nrig='a'\nwidth=[64]\n[rig.a]\nwidth=32", "[grid] width: width is set by [grid] rig too"
     ),
+    "a later rig": (
+        "[grid]\nrig=['a', 'b']\n[override]\nwidth=64\n[rig.a]\nviews=9\n[rig.b]\nwidth=32",
+        "[override]: width is set by [grid] rig too",
+    ),
     "rig": ("[grid]\nrig = ['b']\n[rig.a]\nviews=9", "[grid] rig: the table [rig.b] is missing; the file has: a"),
     "rig's key": ("[grid]\nrig = 'a'\n[rig.a]\nviewz=9", "[rig.a] viewz: there is no such key; did you mean 'views'"),
     "method of a rig": (

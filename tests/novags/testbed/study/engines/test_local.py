@@ -1,4 +1,4 @@
-"""Which worker gets a job, and whether memory holds it."""
+"""Which worker gets a job, whether memory holds it, and how workers end."""
 
 from types import SimpleNamespace
 from typing import Any
@@ -28,3 +28,16 @@ def test_a_job_goes_to_the_idle_worker_with_most_memory_which_counts_as_its_own(
     pool.queue = Mock(ready=lambda: ["next"])
     pool._start_what_fits()
     assert found == given
+
+
+def test_every_worker_is_asked_to_stop_before_any_is_waited_for() -> None:
+    """Each marks how far it is, all within the same few seconds."""
+    workers = [Mock() for _ in range(3)]
+    calls = Mock()
+    for k, worker in enumerate(workers):
+        calls.attach_mock(worker, f"w{k}")
+    pool = Pool("doing:make", lambda *_: {}, PoolLimits(3), Mock(), workers=list(workers))
+    pool._stop()
+    asked = [f"w{k}.ask_to_stop" for k in range(3)]
+    assert [call[0] for call in calls.mock_calls] == [*asked, *(f"w{k}.stop" for k in range(3))]
+    assert pool.workers == []

@@ -1,0 +1,104 @@
+"""A small camera whose gain is far from 1: its maps, the test of its dark frames, and its gains at several ISOs."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from novags.testbed.importing.calibration.camera import MeasuredSetting, characterise_folder
+from sensor_model import Sensor
+
+SHAPE, BLACK, GAIN, WELL = (32, 40), 100.0, 4.0, 3000.0
+FIXED = np.random.default_rng(3)
+OFFSET, RESPONSE = 3.0 * FIXED.normal(size=SHAPE), 1 + 0.04 * FIXED.normal(size=SHAPE)  # e-, and of the mean
+HOT, DEAD = (5, 7), ([9, 10, 22, 21], [12, 27, 28, 13])
+OFFSET[HOT], RESPONSE[DEAD] = 300.0, 0.0
+
+
+def frames(electrons: float, n: int, seed: int) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    e = rng.poisson(electrons * RESPONSE, (n, *SHAPE)) + OFFSET + 2 * rng.normal(size=(n, *SHAPE))
+    return np.rint(BLACK + GAIN * e).astype(np.uint16)
+
+
+def write(folder: Path, stacks: dict[str, np.ndarray], head: str) -> None:
+    """Stacks in one file each; the time of stack k is k + 1 s."""
+    lines = [head]
+    for name, codes in stacks.items():
+        (folder / name).mkdir(parents=True)
+        np.save(folder / name / "a.npy", codes)
+        lines += [f'[stacks."{name}"]', f"time = {int(name[-1]) + 1}"]
+    (folder / "frames.toml").write_text("\n".join(lines))
+
+
+@pytest.fixture(scope="module")
+def laboratory(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The first dark stack is the small one, and the brightest flat one, of most frames, is too bright for maps."""
+    folder = tmp_path_factory.mktemp("laboratory")
+    stacks = {"dark/0": frames(0.0, 4, 0), "dark/1": frames(0.0, 16, 1)}
+    stacks |= {f"flat/{k}": frames((k + 1) * 0.16 * WELL, n, 2 + k) for k, n in enumerate((2, 2, 2, 16, 20))}
+    write(folder, stacks, f'bits = 14\ncfa = "RGGB"\n[camera]\neta = 0.5\ngain = {GAIN}\nmu_e_sat = {WELL}')
+    return folder
+
+
+def test_maps_hold_electrons_and_shares_of_the_pixels_behind_every_filter(laboratory: Path) -> None:
+    (setting,) = characterise_folder(laboratory, maps=True).settings.values()
+    assert setting.maps is not None
+    offset, response = setting.maps.offset, setting.maps.response
+    assert offset is not None
+    assert response is not None
+    for found, true, odd in ((offset, OFFSET, HOT), (response, RESPONSE, DEAD)):
+        for y, x in np.ndindex(2, 2):
+            usual = np.ones(SHAPE, bool)
+            usual[odd] = False
+            seen, there = (array[y::2, x::2][usual[y::2, x::2]] for array in (found, true))
+            assert np.corrcoef(seen, there)[0, 1] > 0.9
+            assert seen.std() == pytest.approx(there.std(), rel=0.1)
+    assert offset[HOT] == pytest.approx(300, abs=3)
+    assert 0 == response.min() == response[DEAD].min() <= response[DEAD].max() < 0.01
+
+
+def test_every_fourth_frame_of_the_larger_dark_stack_is_held_out_and_told_in_four_numbers(laboratory: Path) -> None:
+    (setting,) = characterise_folder(laboratory).settings.values()
+    titles, *rows = setting.test
+    assert titles.split("  ")[-1].strip() == "99.9 % quantile"
+    assert [title in titles for title in ("mean", "variance", "variance of rows")] == [True] * 3
+    held = np.load(laboratory / "dark" / "1" / "a.npy")[3::4].astype(float)
+    own = [held.mean(), held.var((1, 2)).mean(), held.mean(2).var(1).mean(), np.quantile(held, 0.999)]
+    assert [row[:17].strip() for row in rows] == ["held out", "drawn", "by numbers"]
+    assert [float(value) for value in rows[0][17:].split()] == pytest.approx(own, rel=1e-4)
+
+
+def test_noise_that_is_mostly_below_a_code_leaves_no_pattern_in_maps(tmp_path: Path) -> None:
+    """Each pixel shows another code in one frame at most."""
+    codes = np.full((24, SHAPE[0] * SHAPE[1]), 100, np.uint16)
+    for k in range(24):
+        codes[k, k::200] = 101
+    write(tmp_path, {"dark/0": codes.reshape(24, *SHAPE)}, "bits = 12\n[camera]\ngain = 0.5")
+    with pytest.warns(UserWarning, match="its noise is below a code"):
+        (setting,) = characterise_folder(tmp_path, maps=True).settings.values()
+    assert setting.maps is not None
+    np.testing.assert_array_equal(setting.maps.offset, 0.0)
+
+
+def test_a_camera_has_a_line_of_gain_for_each_side_of_its_switch(tmp_path: Path) -> None:
+    """Dark frames alone: gain is 0.1 DN/e- at ISO 100 and 14 bits, and the converter saturates first."""
+    for iso, noise in ((100, 8.0), (200, 8.0), (800, 1.5), (1600, 1.5)):
+        normal = np.random.default_rng(iso).normal(size=(6, *SHAPE))
+        codes = np.rint(BLACK + 0.001 * iso * noise * normal).astype(np.uint16)
+        write(tmp_path / f"iso{iso}", {"dark/0": codes}, "bits = 14")
+    found = characterise_folder(tmp_path)
+    for iso, setting in found.settings.items():
+        assert setting.sensor.gain == pytest.approx(0.001 * iso)
+        assert setting.sensor.mu_e_sat == pytest.approx((16383 - BLACK) / (0.001 * iso), rel=1e-3)
+    assert [fit.isos for fit in found.fits] == [(100, 200), (800, 1600)]
+    told = str(found)
+    for line in ("ISO 100 to 200: gain = 0.001 ISO", "ISO 800 to 1600: gain = 0.001 ISO",
+                 "dual gain: the pixels switch between ISO 200 and 800"):  # fmt: skip
+        assert line in told
+
+
+def test_the_gain_by_file_is_told_as_a_share_of_the_gain_that_was_found() -> None:
+    sensor = Sensor(gain=0.2, eta=0.5, mu_e_sat=1e4, black_level=BLACK, bits=14)
+    setting = MeasuredSetting(sensor=sensor, found=None, assumed={}, test=(), maps=None, profile=0.4)
+    assert setting.lines()[-1].endswith("gain by file 0.4 DN/e- (DNG's NoiseProfile), 2 of the above")
