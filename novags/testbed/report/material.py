@@ -27,7 +27,7 @@ from novags.testbed.study.light import METHOD
 from novags.testbed.study.results import flat_scores
 from sensor_model.files.door import resolved
 
-VIEWS_OF_EACH_KIND = 4  # held-out and training views shown of one place: enough to judge, small enough to mail
+HELD_OUT, TRAINING = 4, 2  # views shown of one place, at most: enough to judge, small enough to mail
 VIEWS = 8  # of several captures together; each has one at least
 SET = "set.json"
 COST = {"seconds": float, "peak_bytes": int}
@@ -152,7 +152,7 @@ def made_of(run: Run, name: str, known: dict[Path, Any]) -> RunRecords:
     return RunRecords(run, name, capture, known[record], made, known[rendered])
 
 
-def spread(indices: Sequence[int], count: int = VIEWS_OF_EACH_KIND) -> list[int]:
+def spread(indices: Sequence[int], count: int) -> list[int]:
     """At most `count` of them, evenly."""
     places = np.linspace(0, len(indices) - 1, min(count, len(indices)))
     return [indices[round(place)] for place in places]
@@ -162,7 +162,7 @@ def _prepared(place: Place, count: int) -> Place:
     """A place among `count` with the views that are shown of it."""
     cameras = place.capture.cameras
     if count == 1:
-        return replace(place, views=[*spread(cameras.test_indices), *spread(cameras.train_indices)])
+        return replace(place, views=[*spread(cameras.test_indices, HELD_OUT), *spread(cameras.train_indices, TRAINING)])
     # Of its own memory, so that data for the pictures of one capture go before the next.
     capture = replace(place.capture, memo=Memo())
     return replace(place, capture=capture, views=spread(cameras.test_indices, max(1, VIEWS // count)))

@@ -39,7 +39,6 @@ from sensor_model.files.door import read_bytes, resolved
 from sensor_model.files.lock import locked
 
 BLOCKS = (  # of every page, in this order: a block taken out here is on no page
-    Block("header", header.header),
     Block("look", look.look),
     Block("scores", scores.scores),
     Block("length", length.length),
@@ -55,6 +54,7 @@ BLOCKS = (  # of every page, in this order: a block taken out here is on no page
     Block("simulated", simulated.simulated),
     Block("departures", configuration.departures),
     Block("configuration", configuration.configuration),
+    Block("header", header.header),  # stands first, and is made last: it shows what others have found
 )
 
 
@@ -148,7 +148,7 @@ def build(material: Material, console: Console, identity: str = "") -> Path:
         "identity": identity,
         "files": beside.name,
     }
-    write_text(path, _filled({**known, "blocks": shown, "data": page.data}))
+    write_text(path, _filled({**known, "blocks": shown, "data": page.data, "strip": page.strip}))
     return path
 
 
@@ -158,7 +158,7 @@ def _filled(context: Mapping[str, Any]) -> str:
     loader = jinja2.PackageLoader("novags.testbed.report", "templates")
     templates = jinja2.Environment(loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True,
                                    lstrip_blocks=True)  # fmt: skip
-    templates.filters.update(number=number, size=size, json=_embedded)
+    templates.filters.update(number=number, size=size, json=_embedded, contents=_contents)
     templates.globals.update(asset=_asset)
     return templates.get_template("page.html").render(context)
 
@@ -166,6 +166,11 @@ def _filled(context: Mapping[str, Any]) -> str:
 def _asset(name: str) -> Any:
     """A script or a style, unchanged."""
     return Markup((files("novags.testbed.report") / name).read_text(encoding="utf-8"))
+
+
+def _contents(body: str) -> list[tuple[str, Any]]:
+    """The headings of a page, and where they are."""
+    return [(name, Markup(heading)) for name, heading in re.findall(r'<h2 id="([^"]+)"[^>]*>(.*?)</h2>', body)]
 
 
 def _embedded(value: Any) -> Any:

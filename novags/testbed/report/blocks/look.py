@@ -5,8 +5,8 @@ from typing import Any
 from novags.testbed.report.look.maps import ERROR_CEILING
 from novags.testbed.report.look.pictures import ViewTiles, view_tiles
 from novags.testbed.report.material import Material, Place
-from novags.testbed.report.parts import Page
-from novags.testbed.report.verdict import compared
+from novags.testbed.report.parts import Page, Strip
+from novags.testbed.report.verdict import compared, leading
 
 
 def look(material: Material, page: Page) -> dict[str, Any] | None:
@@ -23,6 +23,7 @@ def look(material: Material, page: Page) -> dict[str, Any] | None:
                 raise
             unseen[name] = str(error)
             continue
+        page.strip = page.strip or (strip_of(place, mine[0]) if mine else None)
         views += mine
         for side, key in zip(first, compared(place), strict=True):
             side.append(key)
@@ -34,6 +35,14 @@ def look(material: Material, page: Page) -> dict[str, Any] | None:
     kinds = {tile.key.partition("-")[0] for view in views for tile in view.tiles}
     found = {"views": views, "unseen": unseen, "kinds": kinds, "error_ceiling": ERROR_CEILING}
     return found if views or unseen else None
+
+
+def strip_of(place: Place, view: ViewTiles) -> Strip:
+    """The film strip of a held-out view: those of its pictures that are there."""
+    kind, known = (leading(place) or ("", "", ""))[0], {tile.key: tile for tile in view.tiles}
+    truth = next((key for key in (f"truth-{kind}", "truth-lit") if key in known), "")
+    keys = dict.fromkeys(("dark", *compared(place), truth))
+    return Strip(view, [known[key] for key in keys if key in known])
 
 
 def _views(place: Place, name: str, page: Page, done: int, places: int) -> list[ViewTiles]:

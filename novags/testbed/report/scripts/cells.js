@@ -29,7 +29,7 @@ novags.cells = {
     box.querySelector("strong").textContent = `${name}, ${what}: ${cell.dataset.value || "no value"}${place}.`;
     box.querySelector("pre").textContent = row.dataset.command;
     const [copy, look, close] = box.querySelectorAll("button");
-    copy.addEventListener("click", () => this.copy(row.dataset.command, copy));
+    copy.addEventListener("click", () => novags.tables.copy(row.dataset.command, copy));
     look.hidden = !("view" in row.dataset);
     look.addEventListener("click", () => novags.look.open(row.dataset.view, row.dataset.picture));
     close.addEventListener("click", () => {
@@ -44,15 +44,6 @@ novags.cells = {
     if (next?.classList.contains("told")) next.remove();
     novags.state.set(`cell.${table.dataset.name}`, "");
   },
-  async copy(text, button) {
-    try {
-      await navigator.clipboard.writeText(text);
-      button.textContent = "Copied";
-    } catch {  // a page from a file may not
-      getSelection().selectAllChildren(button.closest(".told").querySelector("pre"));
-      button.textContent = "Selected: press Ctrl+C";
-    }
-  },
   move(table, cell, key) {
     const row = cell.parentElement, at = cell.cellIndex;
     const beside = (way) => {
@@ -60,7 +51,12 @@ novags.cells = {
       while (other?.hidden) other = other[way];
       return other?.cells[at];
     };
-    const next = { ArrowLeft: row.cells[at - 1], ArrowRight: row.cells[at + 1], ArrowUp: beside("previousElementSibling"), ArrowDown: beside("nextElementSibling") }[key];
+    const along = (step) => {
+      let k = at + step;
+      while (row.cells[k] && getComputedStyle(row.cells[k]).display === "none") k += step;  // columns that are folded away
+      return row.cells[k];
+    };
+    const next = { ArrowLeft: along(-1), ArrowRight: along(1), ArrowUp: beside("previousElementSibling"), ArrowDown: beside("nextElementSibling") }[key];
     if (!next?.classList.contains("num")) return;
     this.stop(table, next);
     next.focus();
