@@ -29,6 +29,8 @@ from sensor_model.files.door import resolved
 
 HELD_OUT, TRAINING = 4, 2  # views shown of one place, at most: enough to judge, small enough to mail
 VIEWS = 8  # of several captures together; each has one at least
+PLURALS = {"method": "methods", "scene": "scenes", "seed": "seeds", "electrons": "light levels", "sensor": "cameras",
+           "rig": "rigs", "photos": "sets of photographs", "level": "data sets"}  # fmt: skip
 SET = "set.json"
 COST = {"seconds": float, "peak_bytes": int}
 MADE_SET: Any = {"stage?": {"name?": str, **COST, "inputs?": {"scene?": str}, "config?": {"scene?": str}},
@@ -71,7 +73,9 @@ class Material:
     def title(self) -> str:
         """The heading of the page."""
         if self.study:
-            return f"{self.study[1]['file']}: {len(self.rows)} runs"
+            counts = {name: len({str(row[name]) for row in self.rows}) for name in self.axes}
+            several = [f"{count} {PLURALS.get(name, f'values of {name}')}" for name, count in counts.items() if count > 1]
+            return f"{Path(str(self.study[1]['file'])).stem}: {' × '.join(several) or '1 run'}"
         if self.one is None:
             return f"{len(self.rows)} runs of {len(self.places)} captures"
         if (told := self.one.capture.record.simulated) is None:

@@ -23,6 +23,7 @@ from novags.testbed.report.blocks import (
     length,
     light,
     look,
+    ranking,
     scores,
     signal,
     simulated,
@@ -39,8 +40,10 @@ from sensor_model.files.door import read_bytes, resolved
 from sensor_model.files.lock import locked
 
 BLOCKS = (  # of every page, in this order: a block taken out here is on no page
+    Block("header", header.header),
     Block("look", look.look),
     Block("scores", scores.scores),
+    Block("multiples", ranking.multiples),
     Block("length", length.length),
     Block("explain", explain.explain),
     Block("light", light.light, light.light_files),
@@ -54,7 +57,6 @@ BLOCKS = (  # of every page, in this order: a block taken out here is on no page
     Block("simulated", simulated.simulated),
     Block("departures", configuration.departures),
     Block("configuration", configuration.configuration),
-    Block("header", header.header),  # stands first, and is made last: it shows what others have found
 )
 
 
@@ -140,8 +142,10 @@ def build(material: Material, console: Console, identity: str = "") -> Path:
     planned(console, "report", [path, *([beside] if beside.exists() else []), *others])
     with console.progress("report") as progress:
         page = Page(path, Album(path), progress)
-        shown = [(block.name, found) for block in BLOCKS if (found := block.read(material, page)) is not None]
+        made = sorted(BLOCKS, key=lambda block: block.name == "header")  # last, since it shows what others have found
+        found = {block.name: block.read(material, page) for block in made}
     page.album.settle()
+    shown = [(block.name, mine) for block in BLOCKS if (mine := found[block.name]) is not None]
     known = {
         "title": material.title,
         "colors": {look.key: look.color for look in material.looks.values()},

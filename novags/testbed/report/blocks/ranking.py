@@ -10,7 +10,7 @@ from novags.testbed.report.blocks.scores import PLUS_MINUS, placed, ranked_table
 from novags.testbed.report.charts import MARKS, Axis, Chart, Point, Series
 from novags.testbed.report.grid import CAPTURE, SCENE, Line, columns, main_column
 from novags.testbed.report.material import Material
-from novags.testbed.report.parts import Column, Table, TableCell, TableRow, num, text
+from novags.testbed.report.parts import Column, Page, Table, TableCell, TableRow, num, text
 from novags.testbed.report.place import Place
 from novags.testbed.report.rows import Row
 from novags.testbed.report.verdict import leading
@@ -124,7 +124,7 @@ def pivot_table(found: Pivot, material: Material) -> Table:
             ranks = found.ranked[first]
             cells.insert(0, text(placed(ranks.get(name), [*ranks.values()], look.competes), "rank"))
         rows.append(TableRow(cells))
-    return Table("ranking", f"{found.heading} by method and condition", shown, rows, "scores")
+    return Table("ranking", "The ranking", shown, rows, "scores")
 
 
 def _of_scene(found: Pivot, material: Material, scene: str) -> tuple[dict[str, Values], dict[str, int]]:
@@ -209,15 +209,16 @@ def seconds_of(material: Material) -> dict[str, float]:
     return {name: fmean(values) for name, values in found.items()}
 
 
-def panels(material: Material) -> list[tuple[str, str]]:
-    """Small charts on common axes, one for each place of many: how far each method comes in how much time."""
+def multiples(material: Material, page: Page) -> dict[str, Any] | None:
+    """Small charts on common axes, one for each place of a study: how far each method comes in how much time."""
     main, groups = main_column(material.lines), dict[str, dict[str, tuple[float, Estimate]]]()
     for line in material.lines:
         known = estimate(line.values[main]) if main in line.values else None
         if SECONDS in line.spread and known is not None:
             groups.setdefault(line.where, {})[method_of(line, material)] = (line.spread[SECONDS][0], known)
-    if not 1 < len(groups) <= PANELS:
-        return []
-    unit = next(unit for column, _, unit, *_ in columns() if column == main)
-    return list(zip(groups, over_time([(f"[{unit}]" if unit else "", each) for each in groups.values()], material.looks),
-                    strict=True))  # fmt: skip
+    if material.study is None or not 1 < len(groups) <= PANELS:
+        return None
+    heading, unit = next(each[1:3] for each in columns() if each[0] == main)
+    label = f"{heading} [{unit}]" if unit else heading
+    drawn = over_time([(label, each) for each in groups.values()], material.looks)
+    return {"panels": list(zip(groups, drawn, strict=True))}

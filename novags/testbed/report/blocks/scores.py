@@ -93,7 +93,8 @@ def ranked_table(
         rows.append(TableRow(cells, {"data-command": commands.get(run)}))
     own, against = LABELS.get(kind, (f"scores-{kind}", kind))
     shown += [column for column, *_ in more]
-    return Table(name or own, f"Scores against {against}", shown, rows, "scores") if rows else None
+    label = f"Scores against {against}" if name is None else "The ranking"
+    return Table(name or own, label, shown, rows, "scores") if rows else None
 
 
 def placed(rank: int | None, ranks: Sequence[int | None], competes: bool) -> str:

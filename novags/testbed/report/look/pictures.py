@@ -88,7 +88,8 @@ class _Tiles:
 
     def add(self, key: str, label: str, note: str, image: np.ndarray) -> None:
         picture = self.album.add(image, exact=key.partition("-")[0] not in COLUMNS[1:])  # nobody reads codes of maps
-        self.made.append(Tile(key, label, note, f"{label}, {self.view}: {note}", picture))
+        told = f"Rendered by {label}" if key.startswith("render-") else label
+        self.made.append(Tile(key, label, note, f"{told}, {self.view}: {note}", picture))
 
 
 def view_tiles(i: int, place: Place, album: Album, called: str = "") -> ViewTiles:

@@ -9,10 +9,14 @@ novags.cells = {
     if (cell) cell.tabIndex = 0;
     this.stops.set(table, cell);
   },
+  isShown: (cell) => getComputedStyle(cell).display !== "none",  // columns that say the same in every row are not
+  first(table) {
+    return [...table.tBodies[0].querySelectorAll("tr[data-command]:not([hidden]) td.num")].find(this.isShown);
+  },
   // After rows were hidden or put in another order: one that is shown.
   reach(table) {
     const now = this.stops.get(table);
-    if (this.stops.has(table) && (!now?.isConnected || now.parentElement.hidden)) this.stop(table, table.tBodies[0].querySelector("tr[data-command]:not([hidden]) td.num"));
+    if (this.stops.has(table) && (!now?.isConnected || now.parentElement.hidden)) this.stop(table, this.first(table));
   },
   name: (row) => [novags.tables.text(row.querySelector("th")), row.dataset.of].filter(Boolean).join(", "),
   tell(table, cell) {
@@ -53,7 +57,7 @@ novags.cells = {
     };
     const along = (step) => {
       let k = at + step;
-      while (row.cells[k] && getComputedStyle(row.cells[k]).display === "none") k += step;  // columns that are folded away
+      while (row.cells[k] && !this.isShown(row.cells[k])) k += step;
       return row.cells[k];
     };
     const next = { ArrowLeft: along(-1), ArrowRight: along(1), ArrowUp: beside("previousElementSibling"), ArrowDown: beside("nextElementSibling") }[key];
@@ -72,7 +76,7 @@ novags.parts.push({
       const row = event.target.closest("tr[data-view] :is(th, td:not(.num))")?.parentElement;
       if (row) novags.look.open(row.dataset.view, row.dataset.picture);
     });
-    const first = table.querySelector("tr[data-command] td.num");
+    const first = novags.cells.first(table);
     if (!first) return;
     novags.cells.stop(table, first);
     const asked = (event) => event.target.closest("tr[data-command] td.num");

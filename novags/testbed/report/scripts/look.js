@@ -5,7 +5,7 @@ novags.look = {
   get grid() { return this.grids[novags.byId("view").value]; },
   figures() { return [...this.grid.querySelectorAll("figure")]; },
   figure(key) { return this.figures().find((figure) => figure.dataset.key === key); },
-  label: (figure) => figure.dataset.label,
+  label: (figure) => figure.querySelector("img").dataset.label,
 
   // Keep the choice from view to view where the new view has that picture.
   fill(side, wanted) {

@@ -65,7 +65,7 @@ novags.tables = {
 
   // What is shown, as a table for a paper or for a page: folded columns stay away, the best of a column is bold.
   shown(table) {
-    const cells = (row) => [...row.cells].filter((cell) => getComputedStyle(cell).display !== "none");
+    const cells = (row) => [...row.cells].filter(novags.cells.isShown);
     const rows = [...novags.rows.of(table), ...(table.tFoot ? table.tFoot.rows : [])].filter((row) => !row.hidden);
     const said = (cell) => this.text(cell) + (cell.querySelector(".dagger") ? "†" : "");
     const heads = cells(table.tHead.rows[0]);

@@ -54,7 +54,7 @@ novags.views = {
 
   // Round values, as the other charts have them: steps of 1, 2 or 5.
   ticks(low, high) {
-    const power = 10 ** Math.floor(Math.log10((high - low) / 4)), rough = (high - low) / 4 / power;
+    const power = 10 ** Math.floor(Math.log10((high - low) / 5)), rough = (high - low) / 5 / power;
     const step = power * [1, 2, 5, 10].find((factor) => factor >= rough - 1e-9), first = Math.ceil(low / step - 1e-9);
     return Array.from({ length: Math.floor(high / step + 1e-9) - first + 1 }, (_, k) => (first + k) * step);
   },

@@ -18,13 +18,14 @@ def test_every_view_of_every_place_is_shown_and_every_run_is_found(monkeypatch: 
 
     monkeypatch.setattr(module, "view_tiles", tiles)
     monkeypatch.setattr(module, "compared", lambda place: tuple(f"render-{run}" for run in place.runs))
+    monkeypatch.setattr(module, "leading", lambda place: None)
     places = {name: lambda runs=runs: SimpleNamespace(runs=runs, views=[3, 5]) for name, runs in RUNS.items()}
 
     def broken() -> None:
         raise ValueError("it is gone")
 
     said = list[tuple[int, int]]()
-    page: Any = SimpleNamespace(album=None, views={}, data={}, progress=lambda done, of, what: said.append((done, of)))
+    page: Any = SimpleNamespace(album=None, views={}, data={}, strip=None, progress=lambda done, of, what: said.append((done, of)))
     material: Any = SimpleNamespace(
         one=None, unseen={"old": "why"}, places={**places, "three": broken, "no": lambda: None}
     )
@@ -35,6 +36,7 @@ def test_every_view_of_every_place_is_shown_and_every_run_is_found(monkeypatch: 
     assert (page.data["left"], page.data["right"]) == (
         ["render-a", "render-b", "enhanced"], ["render-b", "render-c", "truth-lit"]
     )  # fmt: skip
+    assert (page.strip.view.name, page.strip.keys) == ("one 3", {"render-a", "render-b"})
     assert found["kinds"] == {"render", "map3", "map5"}
     assert found["unseen"] == {"old": "why", "three": "it is gone"}
     assert said == [(1, 8), (2, 8), (3, 8), (4, 8)]
