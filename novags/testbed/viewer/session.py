@@ -20,8 +20,8 @@ PLATE = 320  # px; longest side of a picture at a frustum
 ENLARGED = 384  # px; about as wide as the panel
 TRAINING, HELD_OUT, ESTIMATED = (90, 160, 255), (255, 176, 64), (230, 90, 200)
 APART = 1e-3  # viewer units: cameras that are nearer to the true ones are not drawn beside them
-FRUSTUM = 0.14  # viewer units; of more than 20 cameras less: they mark places, and the scene is what is looked at
-WITHIN = 0.2  # viewer units: a frustum that the viewer stands in would cover everything
+FRUSTUM = 0.1  # viewer units; of more than 20 cameras less: they mark places, and the scene is what is looked at
+WITHIN = 0.7  # viewer units: a frustum that the viewer stands in, or beside, would cover everything
 
 
 class Session:
@@ -130,7 +130,7 @@ class Session:
         tall = 2 * np.arctan(rig.height / 2 / rig.Ks[0, 1, 1])
         scale = FRUSTUM * min(1.0, (20 / len(rig.Ks)) ** 0.5)
         return self.client.scene.add_camera_frustum(
-            name, float(tall), rig.width / rig.height, scale=scale, color=color, thickness=0.008,
+            name, float(tall), rig.width / rig.height, scale=scale, color=color, thickness=0.004,
             wxyz=quaternion(viewmat[:3, :3].T), position=centers_of(viewmat[None])[0], cast_shadow=False,
             receive_shadow=False, **more,
         )  # fmt: skip
