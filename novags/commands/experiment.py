@@ -4,7 +4,17 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from novags.commands.shared import announce, cameras_of, command_line, say, variants_of, writing
+from novags.commands.shared import (
+    ELSE,
+    announce,
+    cameras_of,
+    command_line,
+    say,
+    say_ranking,
+    typed,
+    variants_of,
+    writing,
+)
 from novags.commands.study import check_numbers, engine_of
 from novags.options import CLUSTER, Cluster, Define, Device, PresetName, Repeated
 
@@ -134,7 +144,7 @@ def run(
                 return
             page = place.run(chosen, folder, console, report=write_report, doubt=limits_so_far,
                              engine=where, command=command_line(folder), overwrite=overwrite)  # fmt: skip
-        announce(page)
+        _conclude(page, folder)
         return
     decided = {
         "iterations": iterations, "points": points, "denoiser_steps": denoiser_steps, "spp": spp,
@@ -183,7 +193,12 @@ def _within(
                              command=command_line(folder), overwrite=overwrite)  # fmt: skip
         for line in after(preset, folder, under_way.state, whole):
             say(line)
-        announce(page)
+        _conclude(page, folder)
+
+
+def _conclude(page: Path, folder: Path) -> None:
+    say_ranking(folder)
+    announce(page, f"novags view {typed(folder)}, to look at it in 3D; or {ELSE}")
 
 
 def _default_name(preset: str, source: str | None, level: str | None, electrons: float | None) -> str:

@@ -31,9 +31,9 @@ from novags.testbed.report.blocks import (
 )
 from novags.testbed.report.look.album import Album, files_of
 from novags.testbed.report.material import Material, material_of
-from novags.testbed.report.parts import Block, Page
+from novags.testbed.report.parts import Block, Page, plain
 from novags.testbed.report.place import command_of, places_in
-from novags.testbed.report.study import study_material
+from novags.testbed.report.study import is_study, study_material
 from novags.testbed.report.words import number, size
 from sensor_model.files.atomic import write_text
 from sensor_model.files.door import read_bytes, resolved
@@ -69,6 +69,19 @@ def write_report(folder: Path, console: Console) -> Path:
     """
     with locked(folder, make=False):
         return build(material_of(places_in([folder], console), folder / REPORT, command_of(folder)), console)
+
+
+def ranking_of(folder: Path) -> list[str]:
+    """The ranking that the report of a run, an experiment or a study begins with, in lines of text; [] without scores.
+
+    Raises:
+        ValueError: If nothing is finished there, or it cannot be read.
+    """
+    path = folder / REPORT
+    study = is_study(folder)
+    found = study_material(folder, path) if study else material_of(places_in([folder], Console(quiet=True)), path)
+    table = ranking.ranking(found).get("table")
+    return [] if table is None else plain(table)
 
 
 def write_reports(

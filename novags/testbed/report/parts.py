@@ -110,6 +110,19 @@ class Table:
         return found
 
 
+def plain(table: Table) -> list[str]:
+    """A table as lines of text, in columns; those that say the same in every row are left out."""
+    shown = [k for k in range(len(table.columns)) if k not in table.same]
+    lines = [[f"{table.columns[k].heading} {table.columns[k].unit}".strip() for k in shown]]
+    for row in table.rows:
+        cells = (cell.text if isinstance(cell := row.cells[k], TableCell) else cell for k in shown)
+        lines.append([Markup(escape(cell)).striptags() for cell in cells])
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    right = [table.columns[k].kind == "num" for k in shown]
+    return ["  ".join(text.rjust(width) if on else text.ljust(width)
+                      for text, width, on in zip(line, widths, right, strict=True)).rstrip() for line in lines]  # fmt: skip
+
+
 def heads(said: str) -> list[Column]:
     """Columns from their headings, as in "Stage | #Time [s]": numbers have a #."""
     found = []

@@ -1,6 +1,9 @@
 """Claims about the ranking that a page begins with: means over scenes, errors, ties, and charts on common axes."""
 
+import json
+import os
 import re
+import shutil
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -12,6 +15,7 @@ from novags.testbed.report.blocks import ranking as module
 from novags.testbed.report.blocks.ranking import multiples, pivot, pivot_table, ranking
 from novags.testbed.report.grid import lines_of
 from novags.testbed.report.material import Material
+from novags.testbed.report.parts import Table, TableRow, heads, num, plain
 from novags.testbed.report.rows import Row
 
 COLUMN = "enhanced.aligned_psnr"
@@ -148,3 +152,58 @@ def test_the_title_of_a_study_names_its_axes_with_their_counts() -> None:
     assert material(SCENES).title == "s: 3 scenes × 3 methods"
     one = {("one", 5.0, "a"): 20.0}
     assert material(one).title == "s: 1 run"
+
+
+RANKED = {"†": "oracle†", "1": "better", "2": "naive"}
+
+
+def lines_said(text: str) -> dict[str, str]:
+    """The places and names of a ranking among other lines."""
+    lines = text.splitlines()
+    start = next(k for k, line in enumerate(lines) if line.startswith("#  Method"))
+    return dict(line.split()[:2] for line in lines[start + 1 : start + 4])
+
+
+def test_a_run_ends_with_the_ranking_and_the_next_command(
+    experiment: Path, tmp_path: Path, call: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = shutil.copytree(experiment, tmp_path / "done")
+    monkeypatch.setattr("novags.testbed.study.place.run", lambda *a, **b: folder / "report.html")
+    assert call("run", "--out", str(folder)) == 0
+    said = capsys.readouterr()
+    assert lines_said(said.out) == RANKED
+    assert "+3.50 ± " in said.out
+    assert said.out.splitlines()[-1].startswith("open it in a browser: file:")
+    assert said.err.splitlines()[-1].startswith(f"next: novags view {folder}, ")
+
+
+def test_a_study_ends_with_the_ranking_and_the_next_command(
+    experiment: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from novags.commands import study
+
+    out = tmp_path / "study"
+    out.mkdir()
+    rows = [{"run": n, "method": name, "seed": 0, "state": "done", "folder": os.path.relpath(experiment / name, out),
+             COLUMN: value} for n, (name, value) in enumerate({"naive": 20.25, "better": 23.75, "oracle": 30.5}.items(), 1)]  # fmt: skip
+    axes = {"method": ["naive", "better", "oracle"], "seed": [0]}
+    (out / "results.json").write_text(json.dumps({"axes": axes, "rows": rows}))
+    table = {"variant": {"better": {"method": "naive"}}}
+    (out / "study.json").write_text(json.dumps({"file": "s.toml", "table": table}))
+    monkeypatch.setattr("novags.testbed.study.conduct.conduct", lambda *a, **b: rows)
+    for name in ("refuse_other", "describe"):
+        monkeypatch.setattr(f"novags.testbed.study.session.{name}", lambda *a: None)
+    plan: Any = SimpleNamespace(study=SimpleNamespace(axes=axes))
+    study._conduct(plan, out, tmp_path / "store", None, None, False, False, False)  # type: ignore[arg-type]
+    said = capsys.readouterr()
+    assert lines_said(said.out) == RANKED
+    assert said.err.splitlines()[-1] == f"next: novags report {out}"
+
+
+def test_a_table_as_text_leaves_out_what_says_the_same_in_every_row() -> None:
+    rows = [TableRow([name, num(value, 1), num(None, "none")]) for name, value in (("a", 5.0), ("long", 10.25))]
+    table = Table("t", "", heads("Name | #Score [dB] | #LPIPS"), rows)
+    assert table.same == {2: "none"}
+    assert plain(table) == ["Name  Score dB", "a          5.0", "long      10.2"]
+    assert Table("t", "", table.columns, rows, foot=rows).same == {}  # the reader changes what it shows
+    assert Table("t", "", table.columns, rows[:1]).same == {}
