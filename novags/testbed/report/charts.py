@@ -241,6 +241,11 @@ def alone(svg: str, colors: Mapping[str, str]) -> str:
     return svg.replace("<svg ", opened, 1).replace(">", f"><style>\n{look}{style}{own}</style>", 1) + "\n"
 
 
+def few(levels: Sequence[float]) -> Sequence[float]:
+    """Levels that can be written at an axis as they are; of many, none: round values stand there instead."""
+    return sorted(set(levels)) if len(set(levels)) <= 8 else ()
+
+
 def log_ticks(low: float, high: float) -> list[float]:
     """Round values between 10**low and 10**high: 1, 2 and 5 times powers of ten; finer where fewer than three fit."""
     decades = range(math.floor(low), math.ceil(high) + 1)

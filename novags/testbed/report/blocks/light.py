@@ -12,7 +12,7 @@ from typing import Any
 
 from novags.testbed.console.csv_text import as_csv
 from novags.testbed.ledger.contents import write_json
-from novags.testbed.report.charts import MARKS, Axis, Chart, Point, Series, alone
+from novags.testbed.report.charts import MARKS, Axis, Chart, Point, Series, alone, few
 from novags.testbed.report.material import Material
 from novags.testbed.report.parts import Page, Table, TableRow, heads, num
 from novags.testbed.report.rows import Row
@@ -147,7 +147,7 @@ def draw(
     shown = [point for each in like or (picture,) for curve in each.curves for point in _points(curve)]
     levels = sorted({point.x for point in shown})
     ends = [end for point in shown for end in (point.low, point.high) if end is not None]
-    x = Axis.around("electrons per green pixel", levels, log=True, ticks=levels)
+    x = Axis.around("electrons per green pixel", levels, log=True, ticks=few(levels))
     y, size = Axis.around(f"{short}{unit}", ends), (420, 260) if small else (720, 340)
     return Chart(picture.title, x, y, lines, *size, left=56 if small else 88, legend=not small).svg()
 

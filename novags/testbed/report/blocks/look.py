@@ -1,5 +1,6 @@
 """How it looks: pictures, maps and the probe, of a few views of every place."""
 
+from collections.abc import Sequence
 from typing import Any
 
 from novags.testbed.report.look.maps import ERROR_CEILING
@@ -33,8 +34,16 @@ def look(material: Material, page: Page) -> dict[str, Any] | None:
     left, right = (list(dict.fromkeys(keys)) for keys in first)
     page.data.update(left=[*left, "enhanced"], right=[*right, "truth-lit"])
     kinds = {tile.key.partition("-")[0] for view in views for tile in view.tiles}
-    found = {"views": views, "unseen": unseen, "kinds": kinds, "error_ceiling": ERROR_CEILING}
+    found = {"views": views, "names": short_names(views), "unseen": unseen, "kinds": kinds, "error_ceiling": ERROR_CEILING}
     return found if views or unseen else None
+
+
+def short_names(views: Sequence[ViewTiles]) -> list[str]:
+    """What tells the views apart: what the names of all of them say is left out, or lists cannot be read whole."""
+    parts = [(*view.name.split(", "), "held out" if view.held_out else "training") for view in views]
+    shared = set.intersection(*map(set, parts)) if len(parts) > 1 else set()
+    return [" · ".join(part for part in each if part not in shared) or view.name
+            for each, view in zip(parts, views, strict=True)]  # fmt: skip
 
 
 def strip_of(place: Place, view: ViewTiles) -> Strip:

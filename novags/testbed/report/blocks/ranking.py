@@ -7,7 +7,7 @@ from typing import Any
 
 from novags.testbed.metrics.differences import Estimate, Values, estimate, places
 from novags.testbed.report.blocks.scores import PLUS_MINUS, placed, ranked_table
-from novags.testbed.report.charts import MARKS, Axis, Chart, Point, Series
+from novags.testbed.report.charts import MARKS, Axis, Chart, Point, Series, few
 from novags.testbed.report.grid import CAPTURE, SCENE, Line, columns, main_column
 from novags.testbed.report.material import Material
 from novags.testbed.report.parts import Column, Page, Table, TableCell, TableRow, num, text
@@ -16,7 +16,7 @@ from novags.testbed.report.rows import Row
 from novags.testbed.report.verdict import leading
 from novags.testbed.report.words import named, number, share, signed
 from novags.testbed.study.cells.grid import spelled
-from novags.testbed.study.light import ELECTRONS
+from novags.testbed.study.light import ELECTRONS, SEED
 
 SECONDS = "seconds.reconstruct"
 PANELS = 24  # small charts: of more places nobody compares all
@@ -152,7 +152,7 @@ def _said(found: Pivot) -> str:
 def _chart_of_many(found: Pivot, material: Material) -> str:
     """Over the light where that is what the conditions differ in, else over the time that methods take."""
     label, looks = f"{found.heading} [{found.unit}]" if found.unit else found.heading, material.looks
-    if [name for name in material.varied if name != SCENE] == [ELECTRONS]:
+    if [name for name in material.varied if name not in (SCENE, SEED)] == [ELECTRONS]:
         return _over_light(found, label, material)
     seconds = seconds_of(material)
     shared = [name for name in looks if all(name in own for own in found.values.values())]
@@ -196,7 +196,7 @@ def _chart(
     points = [point for each in every or series for point in each.points]
     ends = [end for point in points for end in (point.low, point.high) if end is not None]
     room = [point.x * factor for point in points for factor in (0.8, 1.25)]  # for names
-    x = Axis.around(over, room, log=True, ticks=sorted(set(levels)))
+    x = Axis.around(over, room, log=True, ticks=few(levels))
     return Chart(f"{label} over {over}", x, Axis.around(label, ends), series, WIDE, TALL, left=56, named=True).svg()
 
 
