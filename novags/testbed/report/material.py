@@ -74,7 +74,9 @@ class Material:
         """The heading of the page."""
         if self.study:
             counts = {name: len({str(row[name]) for row in self.rows}) for name in self.axes}
-            several = [f"{count} {PLURALS.get(name, f'values of {name}')}" for name, count in counts.items() if count > 1]
+            several = [
+                f"{count} {PLURALS.get(name, f'values of {name}')}" for name, count in counts.items() if count > 1
+            ]
             return f"{Path(str(self.study[1]['file'])).stem}: {' × '.join(several) or '1 run'}"
         if self.one is None:
             return f"{len(self.rows)} runs of {len(self.places)} captures"

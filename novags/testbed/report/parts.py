@@ -119,8 +119,11 @@ def plain(table: Table) -> list[str]:
         lines.append([Markup(escape(cell)).striptags() for cell in cells])
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     right = [table.columns[k].kind == "num" for k in shown]
-    return ["  ".join(text.rjust(width) if on else text.ljust(width)
-                      for text, width, on in zip(line, widths, right, strict=True)).rstrip() for line in lines]  # fmt: skip
+    sides = [str.rjust if each else str.ljust for each in right]
+    return [
+        "  ".join(side(text, width) for side, text, width in zip(sides, line, widths, strict=True)).rstrip()
+        for line in lines
+    ]
 
 
 def heads(said: str) -> list[Column]:

@@ -58,7 +58,14 @@ def light(material: Material, page: Page) -> dict[str, Any] | None:
                                                    for chart in like]) for like in of.values()]  # fmt: skip
     marks = {curve.method: MARKS[k % len(MARKS)] for chart in charts for k, curve in enumerate(chart.curves)}
     key = [(name, material.looks[name].key, mark) for name, mark in marks.items()]
-    return {"measures": measures, "key": key if len(charts) > len(of) else [], "knees": _table(knees, curves), "points": POINTS, "breaks": KNEES, "record": DATA}
+    return {
+        "measures": measures,
+        "key": key if len(charts) > len(of) else [],
+        "knees": _table(knees, curves),
+        "points": POINTS,
+        "breaks": KNEES,
+        "record": DATA,
+    }
 
 
 def light_files(material: Material) -> list[Path]:

@@ -34,7 +34,13 @@ def look(material: Material, page: Page) -> dict[str, Any] | None:
     left, right = (list(dict.fromkeys(keys)) for keys in first)
     page.data.update(left=[*left, "enhanced"], right=[*right, "truth-lit"])
     kinds = {tile.key.partition("-")[0] for view in views for tile in view.tiles}
-    found = {"views": views, "names": short_names(views), "unseen": unseen, "kinds": kinds, "error_ceiling": ERROR_CEILING}
+    found = {
+        "views": views,
+        "names": short_names(views),
+        "unseen": unseen,
+        "kinds": kinds,
+        "error_ceiling": ERROR_CEILING,
+    }
     return found if views or unseen else None
 
 

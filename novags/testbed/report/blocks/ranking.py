@@ -129,7 +129,8 @@ def pivot_table(found: Pivot, material: Material) -> Table:
 
 def _of_scene(found: Pivot, material: Material, scene: str) -> tuple[dict[str, Values], dict[str, int]]:
     (own,) = found.values.values()
-    values = {name: mine for name, each in own.items() if (mine := {k: v for k, v in each.items() if k[0] == scene})}
+    values: dict[str, Values] = {name: mine for name, each in own.items()
+                                 if (mine := {key: value for key, value in each.items() if key[0] == scene})}  # fmt: skip
     competing = {name: each for name, each in values.items() if material.looks[name].competes}
     return values, places(competing, found.more, found.digits)
 
@@ -145,8 +146,8 @@ def _cell(values: Values | None, ranks: Mapping[str, int], name: str, digits: in
 
 def _said(found: Pivot) -> str:
     over = f"mean over {len(found.scenes)} scenes" if len(found.scenes) > 1 else "mean over seeds and views"
-    return (f"{found.heading}, {over}; ± is its standard error. Methods that are not seen to differ, pair by pair, share a "
-            "place and its colour.")  # fmt: skip
+    return (f"{found.heading}, {over}; ± is its standard error. Methods that are not seen to differ, pair by pair, "
+            "share a place and its colour.")  # fmt: skip
 
 
 def _chart_of_many(found: Pivot, material: Material) -> str:
@@ -174,13 +175,17 @@ def _over_light(found: Pivot, label: str, material: Material) -> str:
     return _chart(label, "electrons per green pixel", [each for each in drawn if each.points], sorted(levels.values()))
 
 
-def over_time(panels: Sequence[tuple[str, Mapping[str, tuple[float, Estimate]]]], looks: Mapping[str, Row]) -> list[str]:
+def over_time(
+    panels: Sequence[tuple[str, Mapping[str, tuple[float, Estimate]]]], looks: Mapping[str, Row]
+) -> list[str]:
     """A chart for each panel, all on common axes: the score of each method over the seconds that it took."""
     drawn = [(label, [Series(name, looks[name].key + " off" * (not looks[name].competes), [_point(x, each)], None,
                              MARKS[list(looks).index(name) % len(MARKS)])
                       for name, (x, each) in points.items() if x > 0]) for label, points in panels]  # fmt: skip
     every = [series for _, of in drawn for series in of]
-    return [_chart(label, "seconds to reconstruct", of, (), every) for label, of in drawn] if every else [""] * len(panels)
+    return (
+        [_chart(label, "seconds to reconstruct", of, (), every) for label, of in drawn] if every else [""] * len(panels)
+    )
 
 
 def _point(x: float, known: Estimate) -> Point:

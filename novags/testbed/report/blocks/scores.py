@@ -181,8 +181,8 @@ def _line(
     look, view = material.looks[line.method], page.views.get((line.where, line.method))
     done, of = sum(row["state"] == "done" for row in line.runs), len(line.runs)
     commands = [found for each in line.runs if (found := material.commands.get(int(each["run"])))]
-    rank = placed(line.places.get(main), [each.get(main) for each in near], look.competes)
-    cells = [text(rank, "rank"), TableCell(named(look))]
+    first = placed(line.places.get(main), [each.get(main) for each in near], look.competes)
+    cells = [text(first, "rank"), TableCell(named(look))]
     for value in (line.place[axis] for axis in axes):
         kind = "axis" if isinstance(value, int | float) else "where" if len(value) > LONG else ""
         cells.append(text(value, kind))
@@ -191,7 +191,9 @@ def _line(
         mean, sd = line.spread.get(column, (None, None))
         said, rank = _text(column, mean, places), line.places.get(column)
         said = said if sd is None else PLUS_MINUS.format(said, _text(column, sd, places))
-        cells.append(num(mean, said, rank=rank, sd=sd, best=rank == 1 and any(each.get(column, 1) > 1 for each in near)))
+        cells.append(
+            num(mean, said, rank=rank, sd=sd, best=rank == 1 and any(each.get(column, 1) > 1 for each in near))
+        )
     return TableRow(cells, {"data-of": line.where, "data-command": "\n".join(commands) or None, "data-view": view,
                             "data-picture": view and f"render-{line.method}"})  # fmt: skip
 

@@ -20,7 +20,9 @@ SMALL = 80  # px; of thumbnails where there are more than `MANY`
 MANY = 500
 EXACT_PIXELS = 256 * 256  # of larger pictures codes are not kept: noise compresses badly, and pages grow by megabytes
 LOSSY, SMALLEST = 85, 75  # quality of whole pictures whose codes are not kept, and of thumbnails
-OWN = re.compile(r"[0-9a-f]{20}\.(webp|png|jpg|js)")  # files beside a page, also by earlier versions; others are not ours
+OWN = re.compile(
+    r"[0-9a-f]{20}\.(webp|png|jpg|js)"
+)  # files beside a page, by earlier versions too; others are not ours
 
 
 @dataclass

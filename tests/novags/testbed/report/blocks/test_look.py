@@ -8,6 +8,7 @@ import pytest
 from novags.testbed.report.blocks import look as module
 from novags.testbed.report.blocks.look import look, short_names
 
+
 def test_views_are_called_by_what_tells_them_apart() -> None:
     def names(*views: tuple[str, bool]) -> list[str]:
         return short_names([SimpleNamespace(name=name, held_out=held_out) for name, held_out in views])  # type: ignore[misc]
@@ -36,7 +37,9 @@ def test_every_view_of_every_place_is_shown_and_every_run_is_found(monkeypatch: 
         raise ValueError("it is gone")
 
     said = list[tuple[int, int]]()
-    page: Any = SimpleNamespace(album=None, views={}, data={}, strip=None, progress=lambda done, of, what: said.append((done, of)))
+    page: Any = SimpleNamespace(
+        album=None, views={}, data={}, strip=None, progress=lambda done, of, what: said.append((done, of))
+    )
     material: Any = SimpleNamespace(
         one=None, unseen={"old": "why"}, places={**places, "three": broken, "no": lambda: None}
     )

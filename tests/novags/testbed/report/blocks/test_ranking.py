@@ -13,7 +13,6 @@ import pytest
 from novags.testbed.metrics.differences import Estimate
 from novags.testbed.report.blocks import ranking as module
 from novags.testbed.report.blocks.ranking import multiples, pivot, pivot_table, ranking
-from novags.testbed.report.grid import lines_of
 from novags.testbed.report.material import Material
 from novags.testbed.report.parts import Table, TableRow, heads, num, plain
 from novags.testbed.report.rows import Row
@@ -38,8 +37,10 @@ def texts(table: Any) -> list[list[str]]:
 
 
 def classes(table: Any) -> list[list[str]]:
-    return [["best" if "best" in str(cell.attributes) else (re.search(r'data-rank="(\d)"', str(cell.attributes)) or " ")[0]
-             for cell in row.cells[1:]] for row in table.rows]  # fmt: skip
+    """Of each cell "best", or its place."""
+    attributes = [[str(cell.attributes) for cell in row.cells[1:]] for row in table.rows]
+    return [["best" if "best" in each else (re.search(r'data-rank="(\d)"', each) or " ")[0] for each in row]
+            for row in attributes]  # fmt: skip
 
 
 SCENES = {("one", 5.0, "a"): 20.0, ("two", 5.0, "a"): 22.0, ("three", 5.0, "a"): 24.0,
@@ -184,8 +185,9 @@ def test_a_study_ends_with_the_ranking_and_the_next_command(
 
     out = tmp_path / "study"
     out.mkdir()
-    rows = [{"run": n, "method": name, "seed": 0, "state": "done", "folder": os.path.relpath(experiment / name, out),
-             COLUMN: value} for n, (name, value) in enumerate({"naive": 20.25, "better": 23.75, "oracle": 30.5}.items(), 1)]  # fmt: skip
+    rows = [{"run": n, "method": name, "seed": 0, "state": "done", COLUMN: value,
+             "folder": os.path.relpath(experiment / name, out)}
+            for n, (name, value) in enumerate((("naive", 20.25), ("better", 23.75), ("oracle", 30.5)), 1)]  # fmt: skip
     axes = {"method": ["naive", "better", "oracle"], "seed": [0]}
     (out / "results.json").write_text(json.dumps({"axes": axes, "rows": rows}))
     table = {"variant": {"better": {"method": "naive"}}}

@@ -7,7 +7,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-import pytest
 
 from novags.testbed.report.look.album import Album, files_of
 from novags.testbed.report.look.maps import colour_map
