@@ -45,7 +45,7 @@ def look(material: Material, page: Page) -> dict[str, Any] | None:
 
 
 def short_names(views: Sequence[ViewTiles]) -> list[str]:
-    """What tells the views apart: what the names of all of them say is left out, or lists cannot be read whole."""
+    """The views by the parts of their names that differ: whole names would not fit into a list of choices."""
     parts = [(*view.name.split(", "), "held out" if view.held_out else "training") for view in views]
     shared = set.intersection(*map(set, parts)) if len(parts) > 1 else set()
     return [" · ".join(part for part in each if part not in shared) or view.name

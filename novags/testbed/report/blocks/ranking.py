@@ -88,7 +88,7 @@ def pivot(material: Material) -> Pivot | None:
 
 
 def method_of(line: Line, material: Material) -> str:
-    """What stands in the rows: a method; of runs that no study made, the name that those of several captures share."""
+    """The name of a row: the method, or of runs without a study their name, which several captures may share."""
     made = material.of(line)
     return line.method if material.study or not made else material.called(made[0])
 
@@ -129,8 +129,8 @@ def pivot_table(found: Pivot, material: Material) -> Table:
 
 def _of_scene(found: Pivot, material: Material, scene: str) -> tuple[dict[str, Values], dict[str, int]]:
     (own,) = found.values.values()
-    values: dict[str, Values] = {name: mine for name, each in own.items()
-                                 if (mine := {key: value for key, value in each.items() if key[0] == scene})}  # fmt: skip
+    here = {name: {key: value for key, value in each.items() if key[0] == scene} for name, each in own.items()}
+    values: dict[str, Values] = {name: mine for name, mine in here.items() if mine}
     competing = {name: each for name, each in values.items() if material.looks[name].competes}
     return values, places(competing, found.more, found.digits)
 

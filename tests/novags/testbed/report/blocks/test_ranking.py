@@ -131,7 +131,12 @@ def test_the_ranking_of_one_place_has_gains_with_errors_and_their_chart(monkeypa
     drawn = charts(monkeypatch)
     seen = list[Any]()
     monkeypatch.setattr(module, "leading", lambda place: ("enhanced", "aligned_psnr", ""))
-    monkeypatch.setattr(module, "ranked_table", lambda *a, **b: seen.append((a[3], b)) or "table")
+
+    def table(kind: str, place: Any, commands: Any, more: Any, **given: Any) -> str:
+        seen.append((more, given))
+        return "table"
+
+    monkeypatch.setattr(module, "ranked_table", table)
     monkeypatch.setattr(module, "seconds_of", lambda material: SECONDS)
     gains = {"b": Estimate(1.5, 0.25, 2.0, "views", 1, 1, 3), "oracle": Estimate(8.0, 0.5, 2.0, "views", 1, 1, 3)}
     looks = material(SCENES).looks
