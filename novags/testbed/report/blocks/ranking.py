@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from statistics import fmean
 from typing import Any
 
+from markupsafe import Markup
+
 from novags.testbed.metrics.differences import Estimate, Values, estimate, places
 from novags.testbed.report.blocks.scores import PLUS_MINUS, placed, ranked_table
 from novags.testbed.report.charts import MARKS, Axis, Chart, Point, Series, few
@@ -19,6 +21,7 @@ from novags.testbed.study.cells.grid import spelled
 from novags.testbed.study.light import ELECTRONS, SEED
 
 SECONDS = "seconds.reconstruct"
+FEWER = Markup("{} <small>({} of {} scenes)</small>")
 PANELS = 24  # small charts: of more places nobody compares all
 TALL, WIDE = 230, 420  # px of a chart; as wide as a telephone, so that its letters keep their size there
 
@@ -27,7 +30,6 @@ TALL, WIDE = 230, 420  # px of a chart; as wide as a telephone, so that its lett
 class Pivot:
     """The values of a column by condition and method: all axes but method, scene and seed make the condition."""
 
-    column: str
     heading: str
     unit: str
     more: bool
@@ -61,7 +63,7 @@ def _of_one(material: Material, place: Place) -> dict[str, Any]:
     more += [(Column("Recovered", kind="num"), recovered, share)] if recovered else []
     commands = {made.name: material.commands[number] for number, made in material.made.items()}
     table = ranked_table(kind, place, commands, more, count=1, name="ranking")
-    known = {base: Estimate(0.0, None, 0.0, "", 1, 1, 1), **over}
+    known = {base: Estimate(0.0, None, 0.0, "", 1, 1, 1), **over}  # the base is 0 dB from itself
     points = {name: (seconds[name], each) for name, each in known.items() if name in seconds}
     said = "± is the standard error of the difference. Equal places (=): no difference is seen."
     chart = over_time([(f"dB over {base}", points)], place.rows)[0] if over else ""
@@ -84,13 +86,20 @@ def pivot(material: Material) -> Pivot | None:
         ranked[condition] = places({name: each for name, each in own.items() if material.looks[name].competes},
                                    more, digits)  # fmt: skip
     scenes = list(dict.fromkeys(str(line.place[SCENE]) for line in lines if SCENE in line.place))
-    return Pivot(main, heading, unit, more, digits, values, ranked, scenes) if values else None
+    return Pivot(heading, unit, more, digits, values, ranked, scenes) if values else None
 
 
 def method_of(line: Line, material: Material) -> str:
-    """The name of a row: the method, or of runs without a study their name, which several captures may share."""
-    made = material.of(line)
-    return line.method if material.study or not made else material.called(made[0])
+    """The name of a row: the method, or of runs without a study their name, which several captures may share.
+
+    Where a capture has two runs of a name, the names that tell them apart.
+    """
+    if material.study or material.one:
+        return line.method
+    here = [material.called(made[0]) for other in material.lines if other.where == line.where
+            and (made := material.of(other))]  # fmt: skip
+    own = material.called(material.of(line)[0])
+    return own if here.count(own) == 1 else line.method
 
 
 def _condition(line: Line, varied: Sequence[str]) -> str:
@@ -117,7 +126,7 @@ def pivot_table(found: Pivot, material: Material) -> Table:
     for name in order:
         look = material.looks[name]
         cells: list[Any] = [TableCell(named(look))]
-        cells += [_cell(own.get(name), found.ranked[condition], name, found.digits)
+        cells += [_cell(own.get(name), found.ranked[condition], name, found.digits, len(found.scenes))
                   for condition, own in found.values.items()]  # fmt: skip
         cells += [_cell(own.get(name), ranks, name, found.digits) for own, ranks in by_scene]
         if single:
@@ -135,12 +144,14 @@ def _of_scene(found: Pivot, material: Material, scene: str) -> tuple[dict[str, V
     return values, places(competing, found.more, found.digits)
 
 
-def _cell(values: Values | None, ranks: Mapping[str, int], name: str, digits: int) -> TableCell:
+def _cell(values: Values | None, ranks: Mapping[str, int], name: str, digits: int, scenes: int = 1) -> TableCell:
+    """A mean with its error; where runs of some of so many scenes are missing, it says so."""
     known = estimate(values) if values else None
     if known is None:
         return num(None, "")
     said, rank = number(known.value, digits), ranks.get(name)
     said = said if known.error is None else PLUS_MINUS.format(said, number(known.error, digits))
+    said = said if known.scenes >= scenes else FEWER.format(said, known.scenes, scenes)
     return num(known.value, said, rank=rank, best=rank == 1 and max(ranks.values()) > 1)
 
 
@@ -183,9 +194,7 @@ def over_time(
                              MARKS[list(looks).index(name) % len(MARKS)])
                       for name, (x, each) in points.items() if x > 0]) for label, points in panels]  # fmt: skip
     every = [series for _, of in drawn for series in of]
-    return (
-        [_chart(label, "seconds to reconstruct", of, (), every) for label, of in drawn] if every else [""] * len(panels)
-    )
+    return [_chart(label, "seconds to reconstruct", of, (), every) for label, of in drawn]
 
 
 def _point(x: float, known: Estimate) -> Point:
@@ -197,8 +206,10 @@ def _point(x: float, known: Estimate) -> Point:
 def _chart(
     label: str, over: str, series: Sequence[Series], levels: Sequence[float], every: Sequence[Series] | None = None
 ) -> str:
-    """Series on the axes that `every` one of them needs, names beside them."""
+    """Series on the axes that `every` one of them needs, names beside them; "" where no score is finite."""
     points = [point for each in every or series for point in each.points]
+    if not points:
+        return ""
     ends = [end for point in points for end in (point.low, point.high) if end is not None]
     room = [point.x * factor for point in points for factor in (0.8, 1.25)]  # for names
     x = Axis.around(over, room, log=True, ticks=few(levels))
@@ -215,13 +226,18 @@ def seconds_of(material: Material) -> dict[str, float]:
 
 
 def multiples(material: Material, page: Page) -> dict[str, Any] | None:
-    """Small charts on common axes, one for each place of a study: how far each method comes in how much time."""
+    """Small charts on common axes, one for each place of a study: how far each method comes in how much time.
+
+    None where the light varies, over which there are charts then.
+    """
+    if material.study is None or ELECTRONS in material.varied:
+        return None
     main, groups = main_column(material.lines), dict[str, dict[str, tuple[float, Estimate]]]()
     for line in material.lines:
         known = estimate(line.values[main]) if main in line.values else None
         if SECONDS in line.spread and known is not None:
             groups.setdefault(line.where, {})[method_of(line, material)] = (line.spread[SECONDS][0], known)
-    if material.study is None or not 1 < len(groups) <= PANELS:
+    if not 1 < len(groups) <= PANELS:
         return None
     heading, unit = next(each[1:3] for each in columns() if each[0] == main)
     label = f"{heading} [{unit}]" if unit else heading

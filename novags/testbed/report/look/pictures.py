@@ -61,7 +61,7 @@ class ViewTiles:
 
     @property
     def rows(self) -> list[tuple[str, list[Tile | None]]]:
-        """The pictures in rows: the camera's, a row for each method with a place for each of `COLUMNS`, and the truth's."""
+        """The pictures in rows: the camera's, those of each method in the order of `COLUMNS`, and the truth's."""
         known = {tile.key: tile for tile in self.tiles}
         names = [key.partition("-")[2] for key in known if key.startswith("render-")]
         of = {name: [known.get(f"{column}-{name}") for column in COLUMNS] for name in names}

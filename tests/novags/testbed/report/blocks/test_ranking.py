@@ -85,6 +85,32 @@ def test_conditions_stand_side_by_side_each_with_the_mean_over_its_scenes() -> N
     }  # fmt: skip
 
 
+def test_a_method_that_lacks_a_scene_says_so() -> None:
+    some = {key: value for key, value in SCENES.items() if key != ("three", 5.0, "b")}
+    found = pivot(material(some))
+    assert found is not None
+    cells = {row[1]: row[2] for row in texts(pivot_table(found, material(some)))}
+    assert cells["b"] == "22.05 ± 1.05 (2 of 3 scenes)"
+    assert cells["a"] == "22.00 ± 1.15"
+
+
+def test_runs_of_one_name_share_a_row_over_captures_and_none_within_one() -> None:
+    def made(name: str) -> Any:
+        return SimpleNamespace(run=SimpleNamespace(name=name))
+
+    lines: list[Any] = [SimpleNamespace(where=where, method=f"{folder}/naive") for where, folder in
+                        (("dark", "one"), ("bright", "two"), ("bright", "three"))]  # fmt: skip
+    page: Any = SimpleNamespace(study=None, one=None, lines=lines, of=lambda line: [made("naive")],
+                                called=lambda each: each.run.name)  # fmt: skip
+    assert [module.method_of(line, page) for line in lines] == ["naive", "two/naive", "three/naive"]
+
+
+def test_scores_that_are_not_finite_draw_no_chart() -> None:
+    inf = {("one", electrons, name): float("inf") for electrons in (5.0, 50.0) for name in "ab"}
+    assert ranking(material(inf))["chart"] == ""
+    assert ranking(material({key: value for key, value in inf.items() if key[1] == 5.0}))["chart"] == ""
+
+
 def charts(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     drawn = list[Any]()
 
@@ -125,6 +151,8 @@ def test_every_place_of_a_study_has_a_chart_and_all_share_their_axes(monkeypatch
     one = {key: value for key, value in SCENES.items() if key[0] == "one"}
     assert multiples(material(one), page) is None  # type: ignore[arg-type]
     assert multiples(material(SCENES, study=False), page) is None  # type: ignore[arg-type]
+    light = SCENES | {(scene, 50.0, name): value for (scene, _, name), value in SCENES.items()}
+    assert multiples(material(light), page) is None  # type: ignore[arg-type]
 
 
 def test_the_ranking_of_one_place_has_gains_with_errors_and_their_chart(monkeypatch: pytest.MonkeyPatch) -> None:
