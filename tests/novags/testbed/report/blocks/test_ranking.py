@@ -202,7 +202,9 @@ def test_a_run_ends_with_the_ranking_and_the_next_command(
     experiment: Path, tmp_path: Path, call: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = shutil.copytree(experiment, tmp_path / "done")
-    monkeypatch.setattr("novags.testbed.study.place.run", lambda *a, **b: folder / "report.html")
+    monkeypatch.setattr(
+        "novags.testbed.study.place.run", lambda preset, out, console, *, report, **more: report(out, console)
+    )
     assert call("run", "--out", str(folder)) == 0
     said = capsys.readouterr()
     assert lines_said(said.out) == RANKED
