@@ -64,6 +64,19 @@ def test_no_picture_is_twice_in_the_page_and_the_grid_shows_those_of_the_strip(a
     assert tab.evaluate(same)
 
 
+def test_pictures_keep_their_codes_and_maps_take_half_their_bytes(experiment: Path) -> None:
+    page = (experiment / "report.html").read_text(encoding="utf-8")
+    found = re.findall(
+        r'<figure data-key="([^"-]+)[^"]*"><img src="data:image/webp;base64,([^"]+)"( data-exact)?', page
+    )
+    kinds = {kind for kind, *_ in found}
+    assert kinds == {"dark", "enhanced", "render", "truth", "error", "depth", "normal"}
+    maps = {"error", "depth", "normal"}
+    assert all(bool(exact) == (kind not in maps) for kind, _, exact in found)
+    size = {on: [len(data) for kind, data, _ in found if (kind in maps) == on] for on in (True, False)}
+    assert sum(size[True]) / len(size[True]) < 0.5 * sum(size[False]) / len(size[False])
+
+
 @pytest.mark.parametrize(("width", "height"), SIZES)
 def test_choices_are_unique_and_read_whole(at: Any, width: int, height: int) -> None:
     """Rationale: "Rendered by nov" stood for three methods."""
