@@ -4,11 +4,22 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from novags.commands.shared import announce, cameras_of, command_line, say, variants_of, writing
+from novags.commands.shared import (
+    ELSE,
+    announce,
+    cameras_of,
+    command_line,
+    say,
+    say_ranking,
+    typed,
+    variants_of,
+    writing,
+)
 from novags.commands.study import check_numbers, engine_of
 from novags.options import CLUSTER, Cluster, Define, Device, PresetName, Repeated
 
 if TYPE_CHECKING:
+    from novags.testbed.console.terminal import Console
     from novags.testbed.study.cells.presets import Preset
 
 
@@ -118,7 +129,6 @@ def run(
         variants=variants_of(variant), cameras=cameras_of(cameras), refine_cameras=refine_cameras, device=device,
         parameters=define or None,
     )  # fmt: skip
-    from novags.testbed.report.page import write_report
     from novags.testbed.report.verdict import limits_so_far
     from novags.testbed.study import place
 
@@ -132,9 +142,9 @@ def run(
             if dry_run:
                 place.said(chosen, folder, console, overwrite=overwrite)
                 return
-            page = place.run(chosen, folder, console, report=write_report, doubt=limits_so_far,
+            page = place.run(chosen, folder, console, report=_reported, doubt=limits_so_far,
                              engine=where, command=command_line(folder), overwrite=overwrite)  # fmt: skip
-        announce(page)
+        _conclude(page, folder)
         return
     decided = {
         "iterations": iterations, "points": points, "denoiser_steps": denoiser_steps, "spp": spp,
@@ -156,7 +166,6 @@ def _within(
 ) -> None:  # fmt: skip
     """Run an experiment in a given time; `whole`: where the same one without a budget lies, if it was run."""
     from novags.testbed.ledger.dry import NOT_DONE, planned
-    from novags.testbed.report.page import write_report
     from novags.testbed.report.verdict import limits_so_far
     from novags.testbed.study import place
     from novags.testbed.study.budget.duration import seconds_of
@@ -179,11 +188,24 @@ def _within(
         with within(request, folder, console, place.run, overwrite=overwrite) as under_way:
             place.photograph(under_way.preset, folder, console, overwrite=overwrite)
             under_way.adjust()
-            page = place.run(under_way.preset, folder, console, report=write_report, doubt=limits_so_far,
+            page = place.run(under_way.preset, folder, console, report=_reported, doubt=limits_so_far,
                              command=command_line(folder), overwrite=overwrite)  # fmt: skip
         for line in after(preset, folder, under_way.state, whole):
             say(line)
-        announce(page)
+        _conclude(page, folder)
+
+
+def _reported(folder: Path, console: "Console") -> Path:
+    """Write the report, and say how it begins."""
+    from novags.testbed.report.page import write_report
+
+    page = write_report(folder, console)
+    say_ranking(folder)
+    return page
+
+
+def _conclude(page: Path, folder: Path) -> None:
+    announce(page, f"novags view {typed(folder)}, to look at it in 3D; or {ELSE}")
 
 
 def _default_name(preset: str, source: str | None, level: str | None, electrons: float | None) -> str:

@@ -85,8 +85,19 @@ def command_line(folder: Path) -> str:
     return relative_command(sys.argv[1:], folder)
 
 
-def announce(path: Path) -> None:
-    """Say where a report is."""
+ELSE = "novags run --scene cornell, or novags list for what else is available"
+
+
+def announce(path: Path, then: str = ELSE) -> None:
+    """Say where a report is, and what to do next."""
     say(f"report: {path.resolve()}")
     say(f"open it in a browser: {path.resolve().as_uri()}")
-    next_("novags run --scene cornell, or novags list for what else is available")
+    next_(then)
+
+
+def say_ranking(folder: Path) -> None:
+    """Say which method came first, with errors and ties, as the report of the folder begins."""
+    from novags.testbed.report.page import ranking_of
+
+    for line in ranking_of(folder):
+        say(line)

@@ -7,7 +7,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Literal
 
 from novags.commands import shared
-from novags.commands.shared import next_, say, variants_of, writing
+from novags.commands.shared import next_, say, say_ranking, typed, variants_of, writing
 from novags.options import CLUSTER, Cluster, Device, Folder, Name, PresetName, Repeated
 
 if TYPE_CHECKING:
@@ -165,10 +165,13 @@ def _conduct(
         rows = conduct(plan, out, folder, console, engine, retry_failed=retry_failed, known=finished, url=url)
     states = counted(rows)
     say(f"{len(rows)} runs: {', '.join(f'{count} {state}' for state, count in states.items())}")
+    if states.get("done") and "method" in plan.study.axes:
+        say_ranking(out)
     say(out / CSV)
     if states.keys() - {"done"}:
         next_(f"look at the reasons in {out / CSV}, then: the same command with --retry-failed")
         raise SystemExit(1)
+    next_(f"novags report {typed(out)}")
 
 
 def compare(

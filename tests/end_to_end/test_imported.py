@@ -102,7 +102,9 @@ def test_without_any_truth_nothing_is_scored_and_the_report_shows_the_renders(
     assert "Nothing is scored, because no truth is known" in page
     assert "<span>error 0</span>" not in page  # the legend of maps that there are not
     assert "PSNR: higher is closer" not in page
-    assert page.count("held out; not scored, because no truth is known") == 2 * 2  # note and alternative text
+    assert (
+        page.count("not scored, because no truth is known") == 2 * 4
+    )  # strip and grid, with alternative text and title
     assert 'class="scores"' not in page
     assert 'data-key="error-naive"' not in page
     assert 'data-key="render-naive"' in page

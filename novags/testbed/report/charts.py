@@ -109,6 +109,7 @@ class Chart:
     left: int = 88  # room for the numbers
     heading: str = ""  # above it
     legend: bool = False  # whether there is one at the right
+    named: bool = False  # whether each series has its name beside its last point
 
     @property
     def box(self) -> tuple[float, float, float, float]:
@@ -150,6 +151,10 @@ class Chart:
         for place, each in enumerate(self.series):
             parts += self._drawn(each)
             parts += self._named(each, right + 14, top + LINE * place - 10) if self.legend else []
+        if self.named:
+            ends = [(each.name, self.at(held[-1].x, held[-1].y)) for each in self.series if (held := self._held(each))]
+            taken = [(x - 8, y - 8, 16.0) for _, (x, y) in ends]
+            parts += [label(shortened(name), end, self, taken) for name, end in ends]
         return "\n".join(parts)
 
     def _held(self, series: Series) -> list[Point]:
@@ -198,6 +203,24 @@ def _mark(series: Series, x: float, y: float, said: str = "") -> str:
     return f'<path class="mark {escape(series.key)}" d="M{x:.1f},{y:.1f}{series.mark}">{told}</path>'
 
 
+def label(text: str, beside: tuple[float, float], chart: Chart, taken: list[tuple[float, float, float]]) -> str:
+    """Text beside its point where nothing else is; `taken` are (left, top, width) of labels and points."""
+    x, y = beside
+    wide, (begin, ceiling, _, floor) = 6.2 * len(text) + 2, chart.box
+    places = [(x + 9, y + 4), (x - 9 - wide, y + 4), (x - wide / 2, y - 11), (x - wide / 2, y + 20), (x + 7, y - 9),
+              (x + 7, y + 16), (x - 7 - wide, y - 9), (x - 7 - wide, y + 16)]  # fmt: skip
+
+    def cost(place: tuple[float, float]) -> float:
+        left, top = place[0], place[1] - 10
+        outside = left < begin - 20 or left + wide > chart.width or top < ceiling - 12 or top + 12 > floor + 4
+        hits = sum(left < a + w and a < left + wide and abs(top - b) < 11 for a, b, w in taken)
+        return hits + 10 * outside
+
+    left, base = min(places, key=cost)
+    taken.append((left, base - 10, wide))
+    return f'<text class="label" x="{left:.1f}" y="{base:.1f}">{escape(text)}</text>'
+
+
 def shortened(name: str) -> str:
     """Long names are cut in the middle: names of variants differ at their beginnings or at their ends."""
     half = (NAME - 1) // 2
@@ -216,6 +239,11 @@ def alone(svg: str, colors: Mapping[str, str]) -> str:
     opened = f'<svg xmlns="http://www.w3.org/2000/svg" {size} '
     look = f"svg {{ background: {PAPER['bg']}; font-family: system-ui, sans-serif; }}\n"
     return svg.replace("<svg ", opened, 1).replace(">", f"><style>\n{look}{style}{own}</style>", 1) + "\n"
+
+
+def few(levels: Sequence[float]) -> Sequence[float]:
+    """Levels that can be written at an axis as they are; of many, none: round values stand there instead."""
+    return sorted(set(levels)) if len(set(levels)) <= 8 else ()
 
 
 def log_ticks(low: float, high: float) -> list[float]:

@@ -27,8 +27,10 @@ from novags.testbed.study.light import METHOD
 from novags.testbed.study.results import flat_scores
 from sensor_model.files.door import resolved
 
-VIEWS_OF_EACH_KIND = 4  # held-out and training views shown of one place: enough to judge, small enough to mail
+HELD_OUT, TRAINING = 4, 2  # views shown of one place, at most: enough to judge, small enough to mail
 VIEWS = 8  # of several captures together; each has one at least
+PLURALS = {"method": "methods", "scene": "scenes", "seed": "seeds", "electrons": "light levels", "sensor": "cameras",
+           "rig": "rigs", "photos": "sets of photographs", "level": "data sets"}  # fmt: skip
 SET = "set.json"
 COST = {"seconds": float, "peak_bytes": int}
 MADE_SET: Any = {"stage?": {"name?": str, **COST, "inputs?": {"scene?": str}, "config?": {"scene?": str}},
@@ -71,7 +73,11 @@ class Material:
     def title(self) -> str:
         """The heading of the page."""
         if self.study:
-            return f"{self.study[1]['file']}: {len(self.rows)} runs"
+            counts = {name: len({str(row[name]) for row in self.rows}) for name in self.axes}
+            several = [
+                f"{count} {PLURALS.get(name, f'values of {name}')}" for name, count in counts.items() if count > 1
+            ]
+            return f"{Path(str(self.study[1]['file'])).stem}: {' × '.join(several) or '1 run'}"
         if self.one is None:
             return f"{len(self.rows)} runs of {len(self.places)} captures"
         if (told := self.one.capture.record.simulated) is None:
@@ -152,7 +158,7 @@ def made_of(run: Run, name: str, known: dict[Path, Any]) -> RunRecords:
     return RunRecords(run, name, capture, known[record], made, known[rendered])
 
 
-def spread(indices: Sequence[int], count: int = VIEWS_OF_EACH_KIND) -> list[int]:
+def spread(indices: Sequence[int], count: int) -> list[int]:
     """At most `count` of them, evenly."""
     places = np.linspace(0, len(indices) - 1, min(count, len(indices)))
     return [indices[round(place)] for place in places]
@@ -162,7 +168,7 @@ def _prepared(place: Place, count: int) -> Place:
     """A place among `count` with the views that are shown of it."""
     cameras = place.capture.cameras
     if count == 1:
-        return replace(place, views=[*spread(cameras.test_indices), *spread(cameras.train_indices)])
+        return replace(place, views=[*spread(cameras.test_indices, HELD_OUT), *spread(cameras.train_indices, TRAINING)])
     # Of its own memory, so that data for the pictures of one capture go before the next.
     capture = replace(place.capture, memo=Memo())
     return replace(place, capture=capture, views=spread(cameras.test_indices, max(1, VIEWS // count)))

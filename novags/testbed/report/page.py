@@ -23,6 +23,7 @@ from novags.testbed.report.blocks import (
     length,
     light,
     look,
+    ranking,
     scores,
     signal,
     simulated,
@@ -30,9 +31,9 @@ from novags.testbed.report.blocks import (
 )
 from novags.testbed.report.look.album import Album, files_of
 from novags.testbed.report.material import Material, material_of
-from novags.testbed.report.parts import Block, Page
+from novags.testbed.report.parts import Block, Page, plain
 from novags.testbed.report.place import command_of, places_in
-from novags.testbed.report.study import study_material
+from novags.testbed.report.study import is_study, study_material
 from novags.testbed.report.words import number, size
 from sensor_model.files.atomic import write_text
 from sensor_model.files.door import read_bytes, resolved
@@ -42,6 +43,7 @@ BLOCKS = (  # of every page, in this order: a block taken out here is on no page
     Block("header", header.header),
     Block("look", look.look),
     Block("scores", scores.scores),
+    Block("multiples", ranking.multiples),
     Block("length", length.length),
     Block("explain", explain.explain),
     Block("light", light.light, light.light_files),
@@ -67,6 +69,19 @@ def write_report(folder: Path, console: Console) -> Path:
     """
     with locked(folder, make=False):
         return build(material_of(places_in([folder], console), folder / REPORT, command_of(folder)), console)
+
+
+def ranking_of(folder: Path) -> list[str]:
+    """The ranking that the report of a run, an experiment or a study begins with, in lines of text; [] without scores.
+
+    Raises:
+        ValueError: If nothing is finished there, or it cannot be read.
+    """
+    path = folder / REPORT
+    study = is_study(folder)
+    found = study_material(folder, path) if study else material_of(places_in([folder], Console(quiet=True)), path)
+    table = ranking.ranking(found).get("table")
+    return [] if table is None else plain(table)
 
 
 def write_reports(
@@ -140,15 +155,17 @@ def build(material: Material, console: Console, identity: str = "") -> Path:
     planned(console, "report", [path, *([beside] if beside.exists() else []), *others])
     with console.progress("report") as progress:
         page = Page(path, Album(path), progress)
-        shown = [(block.name, found) for block in BLOCKS if (found := block.read(material, page)) is not None]
+        made = sorted(BLOCKS, key=lambda block: block.name == "header")  # last, since it shows what others have found
+        found = {block.name: block.read(material, page) for block in made}
     page.album.settle()
+    shown = [(block.name, mine) for block in BLOCKS if (mine := found[block.name]) is not None]
     known = {
         "title": material.title,
         "colors": {look.key: look.color for look in material.looks.values()},
         "identity": identity,
         "files": beside.name,
     }
-    write_text(path, _filled({**known, "blocks": shown, "data": page.data}))
+    write_text(path, _filled({**known, "blocks": shown, "data": page.data, "strip": page.strip}))
     return path
 
 
@@ -158,7 +175,7 @@ def _filled(context: Mapping[str, Any]) -> str:
     loader = jinja2.PackageLoader("novags.testbed.report", "templates")
     templates = jinja2.Environment(loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True,
                                    lstrip_blocks=True)  # fmt: skip
-    templates.filters.update(number=number, size=size, json=_embedded)
+    templates.filters.update(number=number, size=size, json=_embedded, contents=_contents)
     templates.globals.update(asset=_asset)
     return templates.get_template("page.html").render(context)
 
@@ -166,6 +183,11 @@ def _filled(context: Mapping[str, Any]) -> str:
 def _asset(name: str) -> Any:
     """A script or a style, unchanged."""
     return Markup((files("novags.testbed.report") / name).read_text(encoding="utf-8"))
+
+
+def _contents(body: str) -> list[tuple[str, Any]]:
+    """The headings of a page, and where they are."""
+    return [(name, Markup(heading)) for name, heading in re.findall(r'<h2 id="([^"]+)"[^>]*>(.*?)</h2>', body)]
 
 
 def _embedded(value: Any) -> Any:

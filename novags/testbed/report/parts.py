@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -9,10 +10,24 @@ from markupsafe import Markup, escape
 
 from novags.testbed.console.terminal import Update
 from novags.testbed.report.look.album import Album
+from novags.testbed.report.look.pictures import Tile, ViewTiles
 from novags.testbed.report.material import Material
 from novags.testbed.report.words import number
 
 Attributes = Mapping[str, Any]  # of an element; attributes that are None are left out
+
+
+@dataclass(frozen=True)
+class Strip:
+    """The pictures that a page begins with: one view dark, as the floor and the best method show it, and its truth."""
+
+    view: ViewTiles
+    tiles: Sequence[Tile]
+
+    @property
+    def keys(self) -> set[str]:
+        """What the grid of that view takes from here, so that no picture is twice in the page."""
+        return {tile.key for tile in self.tiles}
 
 
 @dataclass
@@ -24,6 +39,7 @@ class Page:
     progress: Update
     views: dict[tuple[str, str], str] = field(default_factory=dict)  # that show a run, by its place and its name
     data: dict[str, Any] = field(default_factory=dict)  # what the scripts need
+    strip: Strip | None = None
 
 
 Shown = Mapping[str, Any] | None
@@ -69,10 +85,45 @@ class Table:
     name: str  # by which scripts and links know it
     label: str  # for readers who do not see it
     columns: Sequence[Column]
-    rows: Iterable[TableRow]
+    rows: Sequence[TableRow]
     style: str = ""  # its class
     foot: Sequence[TableRow] = ()
     whole: bool = False  # whether all rows are laid out at once; otherwise only the first hundred are
+
+    @cached_property
+    def same(self) -> dict[int, str]:
+        """The columns that say the same in every row, and what: they are folded away, and said once below.
+
+        Not of tables with a foot, whose numbers change with a choice of the reader, nor the one that all is sorted by.
+        """
+        if len(self.rows) < 2 or self.foot:
+            return {}
+        found = {}
+        for k, column in enumerate(self.columns):
+            cells = [row.cells[k] for row in self.rows]
+            heading = isinstance(cells[0], TableCell) and cells[0].attributes is None
+            if k == 0 or heading or "data-sorted" in column.attributes or "data-filter" in column.attributes:
+                continue
+            texts = {str(cell.text if isinstance(cell, TableCell) else cell) for cell in cells}
+            if len(texts) == 1:
+                found[k] = texts.pop()
+        return found
+
+
+def plain(table: Table) -> list[str]:
+    """A table as lines of text, in columns; those that say the same in every row are left out."""
+    shown = [k for k in range(len(table.columns)) if k not in table.same]
+    lines = [[f"{table.columns[k].heading} {table.columns[k].unit}".strip() for k in shown]]
+    for row in table.rows:
+        cells = (cell.text if isinstance(cell := row.cells[k], TableCell) else cell for k in shown)
+        lines.append([Markup(escape(cell)).striptags() for cell in cells])
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    right = [table.columns[k].kind == "num" for k in shown]
+    sides = [str.rjust if each else str.ljust for each in right]
+    return [
+        "  ".join(side(text, width) for side, text, width in zip(sides, line, widths, strict=True)).rstrip()
+        for line in lines
+    ]
 
 
 def heads(said: str) -> list[Column]:

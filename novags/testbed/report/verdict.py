@@ -1,4 +1,4 @@
-"""The outcome in a sentence and in numbers: which run comes first, by how much, and which scores disagree."""
+"""The outcome in a sentence: which run comes first, by how much, and which scores disagree."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,7 +8,7 @@ from novags.testbed.console.terminal import Console
 from novags.testbed.metrics.differences import Estimate, Values, difference
 from novags.testbed.report.place import Place, places_in
 from novags.testbed.report.tables import GIVEN, OWN, columns, is_plain, measured, ranked, scores_of
-from novags.testbed.report.words import duration, join, share, signed
+from novags.testbed.report.words import join, share, signed
 from novags.testbed.stages.scores.comparing import gains, values_of
 
 AGAINST = {
@@ -177,23 +177,3 @@ def _dissent(place: Place, kind: str, main_score: str, best: str) -> str:
         return ""
     said = (f"by {join(scores)}{where}: {name} comes first" for (where, name), scores in leads.items())
     return f" Not so {'; '.join(said)}."
-
-
-def cards(place: Place, seconds: float) -> list[dict[str, str]]:
-    """The verdict in numbers: value, unit, label; and the seconds that all of it took."""
-    value, best = _values(place), leader(place)
-    floor, ceiling = place.bound("floor"), place.bound("ceiling")
-    reached, highest = (None if name is None else value[name] for name in (best, ceiling))
-    found = []
-    if reached is not None:
-        found.append({"value": f"{reached:.2f}", "unit": "dB", "label": f"{best}, held-out views"})
-    if floor is not None and best != floor and (gain := _above(place, best, floor)) is not None:
-        error = "" if gain.error is None else f" ± {gain.error:.2f}"
-        found.append({"value": signed(gain.value) + error, "unit": "dB", "label": f"over {floor}, {gain.where}"})
-    if (fraction := _recovered(place).get(best)) is not None:
-        part = share(fraction.value, fraction.error).removesuffix(" %")
-        found.append({"value": part, "unit": "%", "label": "of the loss to noise recovered"})
-    if highest is not None:
-        found.append({"value": f"{highest:.2f}", "unit": "dB", "label": f"{ceiling}, the ceiling"})
-    found.append({"value": duration(seconds), "unit": "", "label": "in all"})
-    return found

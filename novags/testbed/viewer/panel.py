@@ -22,6 +22,8 @@ class ControlPanel:
         start = min(high, max(low, math.log10(electrons)))
         self.capture = gui.add_dropdown("Capture", titles, visible=len(titles) > 1)
         self.method = gui.add_dropdown("Method", [UNDECIDED])
+        self.other = gui.add_dropdown("Against", [UNDECIDED], hint="the method that A | B changes to")
+        self.switch = gui.add_button("A | B", hint="show the other of the two methods")
         self.pictures = gui.add_dropdown("Pictures", [UNDECIDED], hint="what the frusta of the cameras show")
         self.splats = gui.add_checkbox("Gaussians", True)
         self.cameras = gui.add_checkbox("Cameras", True)
@@ -37,6 +39,7 @@ class ControlPanel:
         self.trouble = gui.add_markdown("", visible=False)
         self.capture.on_update(lambda _: asked("capture"))
         self.method.on_update(lambda _: asked("splats", "pictures", "light"))
+        self.switch.on_click(lambda _: self.swap())
         self.pictures.on_update(lambda _: asked("pictures"))
         self.splats.on_update(lambda _: asked("splats"))
         self.cameras.on_update(lambda _: asked("pictures", "estimated"))
@@ -47,6 +50,10 @@ class ControlPanel:
     def electrons(self) -> float:
         """The light level, e- per pixel."""
         return float(10.0**self.level.value)
+
+    def swap(self) -> None:
+        """Show the other method, from where one is: what differs moves, and nothing else."""
+        self.method.value, self.other.value = self.other.value, self.method.value
 
     def offer(self, control: Any, options: tuple[str, ...], preferred: str) -> None:
         """Change the options; the chosen one stays if it can."""

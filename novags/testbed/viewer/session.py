@@ -20,7 +20,8 @@ PLATE = 320  # px; longest side of a picture at a frustum
 ENLARGED = 384  # px; about as wide as the panel
 TRAINING, HELD_OUT, ESTIMATED = (90, 160, 255), (255, 176, 64), (230, 90, 200)
 APART = 1e-3  # viewer units: cameras that are nearer to the true ones are not drawn beside them
-WITHIN = 0.2  # viewer units: a frustum that the viewer stands in would cover everything
+FRUSTUM = 0.1  # viewer units; of more than 20 cameras less: they mark places, and the scene is what is looked at
+WITHIN = 0.7  # viewer units: a frustum that the viewer stands in, or beside, would cover everything
 
 
 class Session:
@@ -78,16 +79,16 @@ class Session:
         self.panel.trouble.content, self.panel.trouble.visible = trouble, bool(trouble)
 
     def _enter(self) -> None:
-        """Begin with a capture: its frusta, and a place from where all are seen."""
+        """Begin with a capture in its first training view, with the best method and the one to compare it with."""
         shown = self.shown
         for plate in self.plates.values():
             plate.remove()
         self.plates = {}
-        self.panel.method.options = tuple(shown.runs)
+        for control, first in zip((self.panel.method, self.panel.other), shown.pair, strict=True):
+            self.panel.offer(control, tuple(shown.runs), first)
+        self.panel.switch.visible = self.panel.other.visible = len(shown.runs) > 1
         self.client.scene.set_up_direction(shown.world.up)
-        camera, start = self.client.camera, centers_of(shown.world.viewmats)[0]
-        camera.position, camera.up_direction = 1.5 * start, shown.world.up
-        camera.look_at = np.zeros(3)  # the middle of the cameras' targets
+        self._stand_at(shown.capture.cameras.train_indices[0])
 
     def _offer(self) -> None:
         panel, shown = self.panel, self.shown
@@ -127,9 +128,9 @@ class Session:
     def _frustum(self, name: str, viewmat: Array, color: tuple[int, int, int], **more: Any) -> Any:
         rig = self.shown.capture.cameras.rig
         tall = 2 * np.arctan(rig.height / 2 / rig.Ks[0, 1, 1])
-        scale = 0.35 * min(1.0, (20 / len(rig.Ks)) ** 0.5)
+        scale = FRUSTUM * min(1.0, (20 / len(rig.Ks)) ** 0.5)
         return self.client.scene.add_camera_frustum(
-            name, float(tall), rig.width / rig.height, scale=scale, color=color, thickness=0.008,
+            name, float(tall), rig.width / rig.height, scale=scale, color=color, thickness=0.004,
             wxyz=quaternion(viewmat[:3, :3].T), position=centers_of(viewmat[None])[0], cast_shadow=False,
             receive_shadow=False, **more,
         )  # fmt: skip

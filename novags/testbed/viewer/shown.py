@@ -4,6 +4,7 @@ again.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,9 @@ from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.references import enhanced_dark, pictured
 from novags.testbed.folders.run import Run
 from novags.testbed.folders.set import Source, scaled_rig
-from novags.testbed.report.place import runs_by_capture, title_of
+from novags.testbed.report.place import Place, merged, runs_by_capture, title_of
+from novags.testbed.report.rows import main_row, rows_of
+from novags.testbed.report.verdict import leader
 from novags.testbed.stages.capturing import measure_light
 from novags.testbed.stages.configs.capturing import CaptureConfig
 from novags.testbed.viewer.light import GREY, ViewerCamera
@@ -43,6 +46,19 @@ class Shown:
     world: World
     camera: ViewerCamera
     memo: Memo = field(default_factory=Memo, repr=False, compare=False)
+
+    @cached_property
+    def pair(self) -> tuple[str, str]:
+        """The methods to begin with: the best by its scores, or the main one without scores; and the floor, or
+        another.
+        """
+        rows = rows_of(self.runs)
+        try:
+            best = leader(Place(self.capture, self.source, self.runs, merged(self.runs)))
+        except ValueError:  # not all of them are scored
+            best = main_row(rows.values())
+        others = sorted((name for name in rows if name != best), key=lambda name: rows[name].bound != "floor")
+        return best, next(iter(others), best)
 
     @property
     def size(self) -> tuple[int, int]:

@@ -6,10 +6,11 @@ from typing import Any
 from novags.methods import METHODS
 from novags.testbed.folders.run import Run
 from novags.testbed.report.blocks.cost import costs
+from novags.testbed.report.blocks.ranking import ranking
 from novags.testbed.report.grid import verdict as verdict_of_many
 from novags.testbed.report.material import Material, Place
 from novags.testbed.report.parts import Page
-from novags.testbed.report.verdict import cards, leading, verdict
+from novags.testbed.report.verdict import leading, verdict
 from novags.testbed.report.words import duration, join
 from novags.testbed.study.results import counted
 
@@ -20,16 +21,19 @@ APART = (
 
 
 def header(material: Material, page: Page) -> dict[str, Any]:
-    """Title, the work done, the verdict in words and, of one place, in numbers."""
-    found: dict[str, Any] = {"title": material.title, "verdict": "", "cards": [], "short": ""}
+    """The first screen: title, verdict, the film strip, the ranking and its chart; and the work done."""
+    found: dict[str, Any] = {"title": material.title, "short": "", "strip": page.strip, "ranking": ranking(material)}
+    said = ""
     if (place := material.one) is not None:
-        seconds, found["verdict"] = sum(row["seconds"] for row in costs(material)), verdict(place)
-        return {**found, "what": what_was_done(place, seconds), "cards": cards(place, seconds),
-                "short": short(list(place.runs.values()))}  # fmt: skip
-    if material.study:
-        states = ", ".join(f"{count} {state}" for state, count in counted(material.rows).items())
-        return {**found, "what": f"{states}.", "verdict": verdict_of_many(material.lines, material.competes)}
-    return {**found, "what": f"{len(material.places)} captures, {len(material.rows)} runs. {APART}"}
+        said, found["what"] = verdict(place), what_was_done(place, sum(row["seconds"] for row in costs(material)))
+        found["short"] = short(list(place.runs.values()))
+    elif material.study:
+        said = verdict_of_many(material.lines, material.competes)
+        found["what"] = f"{', '.join(f'{count} {state}' for state, count in counted(material.rows).items())}."
+    else:
+        found["what"] = f"{len(material.places)} captures, {len(material.rows)} runs. {APART}"
+    headline, _, rest = said.partition(". ")
+    return {**found, "headline": f"{headline}." if rest else headline, "rest": rest}
 
 
 def short(runs: Sequence[Run]) -> str:

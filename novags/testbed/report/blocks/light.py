@@ -12,7 +12,7 @@ from typing import Any
 
 from novags.testbed.console.csv_text import as_csv
 from novags.testbed.ledger.contents import write_json
-from novags.testbed.report.charts import MARKS, Axis, Chart, Point, Series, alone
+from novags.testbed.report.charts import MARKS, Axis, Chart, Point, Series, alone, few
 from novags.testbed.report.material import Material
 from novags.testbed.report.parts import Page, Table, TableRow, heads, num
 from novags.testbed.report.rows import Row
@@ -36,19 +36,36 @@ class CurvePicture:
     file: str  # name of the picture
     curves: list[Curve]  # one a method
 
+    @property
+    def key(self) -> str:
+        """Of its score."""
+        return self.curves[0].measure.key
+
 
 def light(material: Material, page: Page) -> dict[str, Any] | None:
     """The charts and the knees, where the light was varied; pictures and numbers are written beside the page."""
     if not (curves := _curves(material)):
         return None
     folder, charts, knees = page.path.parent, charts_of(curves), knee_rows(curves)
-    drawn = [(chart, draw(chart, material.looks)) for chart in charts]
-    for chart, svg in drawn:
+    of = {key: [chart for chart in charts if chart.key == key] for key in dict.fromkeys(chart.key for chart in charts)}
+    for chart in charts:
+        svg = draw(chart, material.looks, of[chart.key])
         write_text(folder / chart.file, alone(svg, {look.key: look.color for look in material.looks.values()}))
     write_json(folder / DATA, {"curves": [as_record(curve) for curve in curves]})
     write_text(folder / POINTS, as_csv(point_rows(curves)))
     write_text(folder / KNEES, as_csv(knees))
-    return {"charts": drawn, "knees": _table(knees, curves), "points": POINTS, "breaks": KNEES, "record": DATA}
+    measures = [(like[0].curves[0].measure.label, [(chart, draw(chart, material.looks, like, small=len(like) > 1))
+                                                   for chart in like]) for like in of.values()]  # fmt: skip
+    marks = {curve.method: MARKS[k % len(MARKS)] for chart in charts for k, curve in enumerate(chart.curves)}
+    key = [(name, material.looks[name].key, mark) for name, mark in marks.items()]
+    return {
+        "measures": measures,
+        "key": key if len(charts) > len(of) else [],
+        "knees": _table(knees, curves),
+        "points": POINTS,
+        "breaks": KNEES,
+        "record": DATA,
+    }
 
 
 def light_files(material: Material) -> list[Path]:
@@ -117,22 +134,33 @@ def varies(curves: Sequence[Curve]) -> bool:
     return len({value for curve in curves for level in curve.levels for value in level.values}) > 1
 
 
-def draw(picture: CurvePicture, looks: Mapping[str, Row]) -> str:
-    """Means over the light, from the worst to the best of the seeds, and a ring where a curve breaks."""
+def draw(
+    picture: CurvePicture, looks: Mapping[str, Row], like: Sequence[CurvePicture] = (), *, small: bool = False
+) -> str:
+    """Means over the light, from the worst to the best of the seeds, and a ring where a curve breaks.
+
+    `like`: pictures of the same score in other places, which share the axes; `small`: for standing beside them.
+    """
     lines = []
     for place, curve in enumerate(picture.curves):
         look, knee = looks[curve.method], curve.knee.electrons if curve.knee else None
-        points = [_point(level.electrons, level.mean, level.values) for level in curve.levels if level.mean is not None]
+        points = _points(curve)
         ring = None if knee is None or not points else (knee, f"{curve.method} breaks at {knee:.3g}")
         lines.append(Series(curve.method, look.key, points, "" if look.competes else "bound",
                             MARKS[place % len(MARKS)], ring=ring))  # fmt: skip
     measure = picture.curves[0].measure
     unit = f" ({measure.unit})" if measure.unit else ""
     short = measure.label.partition(" against ")[0]  # the title says against what
-    levels = sorted({point.x for line in lines for point in line.points})
-    ends = [end for line in lines for point in line.points for end in (point.low, point.high) if end is not None]
-    x = Axis.around("electrons per green pixel", levels, log=True, ticks=levels)
-    return Chart(picture.title, x, Axis.around(f"{short}{unit}", ends), lines, 720, 340, legend=True).svg()
+    shown = [point for each in like or (picture,) for curve in each.curves for point in _points(curve)]
+    levels = sorted({point.x for point in shown})
+    ends = [end for point in shown for end in (point.low, point.high) if end is not None]
+    x = Axis.around("electrons per green pixel", levels, log=True, ticks=few(levels))
+    y, size = Axis.around(f"{short}{unit}", ends), (420, 260) if small else (720, 340)
+    return Chart(picture.title, x, y, lines, *size, left=56 if small else 88, legend=not small).svg()
+
+
+def _points(curve: Curve) -> list[Point]:
+    return [_point(level.electrons, level.mean, level.values) for level in curve.levels if level.mean is not None]
 
 
 def _point(electrons: float, mean: float, values: Sequence[float]) -> Point:

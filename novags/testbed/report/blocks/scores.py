@@ -14,7 +14,7 @@ from novags.testbed.report.material import Material
 from novags.testbed.report.parts import Column, Page, Table, TableCell, TableRow, num, text
 from novags.testbed.report.place import MAIN, Place
 from novags.testbed.report.tables import KINDS, columns, digits, per_view
-from novags.testbed.report.verdict import table_of
+from novags.testbed.report.verdict import AGAINST, table_of
 from novags.testbed.report.words import named, number, share, signed
 from novags.testbed.stages.scores.comparing import bounds_of
 from novags.testbed.study.differences import DIFFERENCES
@@ -50,11 +50,13 @@ def _of_one(material: Material, place: Place, page: Page) -> dict[str, Any]:
         more = [(Column(f"Over {base}", "dB", "num"), over, signed)] if over else []
         more += [(Column("Recovered", kind="num"), recovered[kind], share)] if recovered.get(kind) else []
         tables[kind] = ranked_table(kind, place, commands, more)
+    alone = [said for kind in tables if (said := _alone(kind, tables[kind]))]
     looks = {name: {"key": row.key, "competes": row.competes} for name, row in place.rows.items()}
     page.data.update(views=views, looks=looks)
     ends = [_ends(place, end) for end in ("floor", "ceiling")] if any(recovered.values()) else []
     return {
-        "many": False, "tables": tables, "one_reference": place.one_reference,
+        "many": False, "tables": {kind: None if _alone(kind, table) else table for kind, table in tables.items()},
+        "alone": alone, "one_reference": place.one_reference,
         "views": {kind: (found, _views(kind, found, place)) for kind, found in views.items() if found},
         "ends": ends if all(ends) else [], "in_linear_light": list(place.exposures),
         "imported": place.capture.imported is not None, "kind": place.lit.views.kind,
@@ -63,23 +65,43 @@ def _of_one(material: Material, place: Place, page: Page) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def _alone(kind: str, table: Table | None) -> Any:
+    """What a table of a single number would say, in words that take no screen; "" of any other."""
+    if table is None or len(table.rows) > 1 or len(columns(kind)) > 1:
+        return ""
+    _, name, cell, *_ = table.rows[0].cells
+    (_, heading, unit, _), against = columns(kind)[0], AGAINST.get(kind, kind)
+    return Markup("{}: {} {} {} against {}").format(name.text, heading, cell.text, unit, against)
+
+
 def ranked_table(
-    kind: str, place: Place, commands: Mapping[str, str | None], more: Sequence[More] = ()
-) -> Table | None:
-    """The runs of a place, best first, and what stands behind the scores; None where none is scored so."""
+    kind: str, place: Place, commands: Mapping[str, str | None], more: Sequence[More] = (), *, count: int | None = None,
+    name: str | None = None,
+) -> Table | None:  # fmt: skip
+    """The runs of a place, best first, with the first `count` scores and what stands behind them; None of no scores."""
     rows, shown = list[TableRow](), [RANK, Column("Method")]
-    for key, heading, unit, better in columns(kind):
+    for key, heading, unit, better in columns(kind)[:count]:
         first = {"data-sorted": "descending" if better else "ascending"} if key == columns(kind)[0][0] else {}
         shown.append(Column(heading, unit, "num", better, first))
-    for row in table_of(place, kind):
-        name, rank = row["method"], row["cells"][0]["rank"] or ("" if row["competes"] else "†")
-        cells = [num(c["value"], _score(c), rank=c["rank"], best=c["best"]) for c in row["cells"]]
-        cells += [_estimated(values.get(name), said) for _, values, said in more]
-        cells = [text(rank, "rank"), TableCell(named(place.rows[name])), *cells]
-        rows.append(TableRow(cells, {"data-command": commands.get(name)}))
-    name, against = LABELS.get(kind, (f"scores-{kind}", kind))
+    found = table_of(place, kind)
+    ranks = [row["cells"][0]["rank"] for row in found]
+    for row in found:
+        run, rank = row["method"], placed(row["cells"][0]["rank"], ranks, row["competes"])
+        cells = [num(c["value"], _score(c), rank=c["rank"], best=c["best"]) for c in row["cells"][:count]]
+        cells += [_estimated(values.get(run), said) for _, values, said in more]
+        cells = [text(rank, "rank"), TableCell(named(place.rows[run])), *cells]
+        rows.append(TableRow(cells, {"data-command": commands.get(run)}))
+    own, against = LABELS.get(kind, (f"scores-{kind}", kind))
     shown += [column for column, *_ in more]
-    return Table(name, f"Scores against {against}", shown, rows, "scores") if rows else None
+    label = f"Scores against {against}" if name is None else "The ranking"
+    return Table(name or own, label, shown, rows, "scores") if rows else None
+
+
+def placed(rank: int | None, ranks: Sequence[int | None], competes: bool) -> str:
+    """A place as it is written: with "=" where it is shared; a dagger for a bound."""
+    if rank is None:
+        return "" if competes else "†"
+    return f"{rank}{'=' * (ranks.count(rank) > 1)}"
 
 
 def _score(cell: Mapping[str, Any]) -> str | int:
@@ -116,7 +138,8 @@ def _of_many(material: Material, page: Page) -> dict[str, Any]:
     axes = [name for name in material.varied if name in lines[0].place]
     main = main_column(lines) or next((column for column, *_ in columns), "")
     heads = [RANK, *_filters("Method", *axes), Column("Runs", kind="num"), *_columns(columns)]
-    rows = (_line(line, material, page, axes, columns, main) for line in lines)
+    ranks = {where: [line.places for line in lines if line.where == where] for where in {line.where for line in lines}}
+    rows = [_line(line, material, page, axes, columns, main, ranks[line.where]) for line in lines]
     return {
         "many": True, "table": Table("combinations", "Scores of every combination", heads, rows, "scores"),
         "methods": _methods(material),
@@ -150,12 +173,16 @@ def _columns(columns: Grid) -> list[Column]:
     return [Column(heading, unit, "num", more) for _, heading, unit, more, _ in columns]
 
 
-def _line(line: Line, material: Material, page: Page, axes: Sequence[str], columns: Grid, main: str) -> TableRow:
-    """The runs that differ in their seed alone."""
+def _line(
+    line: Line, material: Material, page: Page, axes: Sequence[str], columns: Grid, main: str,
+    near: Sequence[Mapping[str, int]],
+) -> TableRow:  # fmt: skip
+    """The runs that differ in their seed alone; `near`: the places of all that are compared with them."""
     look, view = material.looks[line.method], page.views.get((line.where, line.method))
     done, of = sum(row["state"] == "done" for row in line.runs), len(line.runs)
     commands = [found for each in line.runs if (found := material.commands.get(int(each["run"])))]
-    cells = [text(line.places.get(main) or ("" if look.competes else "†"), "rank"), TableCell(named(look))]
+    first = placed(line.places.get(main), [each.get(main) for each in near], look.competes)
+    cells = [text(first, "rank"), TableCell(named(look))]
     for value in (line.place[axis] for axis in axes):
         kind = "axis" if isinstance(value, int | float) else "where" if len(value) > LONG else ""
         cells.append(text(value, kind))
@@ -164,7 +191,9 @@ def _line(line: Line, material: Material, page: Page, axes: Sequence[str], colum
         mean, sd = line.spread.get(column, (None, None))
         said, rank = _text(column, mean, places), line.places.get(column)
         said = said if sd is None else PLUS_MINUS.format(said, _text(column, sd, places))
-        cells.append(num(mean, said, rank=rank, sd=sd, best=rank == 1))
+        cells.append(
+            num(mean, said, rank=rank, sd=sd, best=rank == 1 and any(each.get(column, 1) > 1 for each in near))
+        )
     return TableRow(cells, {"data-of": line.where, "data-command": "\n".join(commands) or None, "data-view": view,
                             "data-picture": view and f"render-{line.method}"})  # fmt: skip
 

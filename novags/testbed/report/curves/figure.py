@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
-from novags.testbed.report.charts import DISC, Axis, Chart, Point, Series, alone
+from novags.testbed.report.charts import DISC, Axis, Chart, Point, Series, alone, label
 
 WIDTH, HEIGHT = 360, 270  # of a panel
 COLUMNS = 3
@@ -55,7 +55,8 @@ def _panel(knob: str, points: Sequence[Measured]) -> str:
     name = knob.partition(".")[2]
     chart = Chart(name, x, y, _series(points), WIDTH, HEIGHT, left=62, heading=name)
     taken = [(x - 8, y - 8, 16.0) for x, y in (chart.at(p["cpu_seconds"], p["error"]) for p in points)]
-    return chart.inside() + "".join(_label(point, chart, taken) for point in points)
+    texts = ((setting_text(p["setting"]), chart.at(p["cpu_seconds"], p["error"])) for p in points)
+    return chart.inside() + "".join(label(text, place, chart, taken) for text, place in texts)
 
 
 def _series(points: Sequence[Measured]) -> list[Series]:
@@ -69,24 +70,6 @@ def _series(points: Sequence[Measured]) -> list[Series]:
         drawn = Point(point["cpu_seconds"], error, said, max(error - spread, 0.0), error + spread)
         found.append(Series("", key, [drawn], None, DIAMOND if point["default"] else DISC))
     return found
-
-
-def _label(point: Measured, chart: Chart, taken: list[tuple[float, float, float]]) -> str:
-    """Text beside its point where nothing else is; `taken` are (left, top, width) of labels and points."""
-    text, (x, y) = setting_text(point["setting"]), chart.at(point["cpu_seconds"], point["error"])
-    wide, (begin, ceiling, _, floor) = 6.2 * len(text) + 2, chart.box
-    places = [(x + 9, y + 4), (x - 9 - wide, y + 4), (x - wide / 2, y - 11), (x - wide / 2, y + 20), (x + 7, y - 9),
-              (x + 7, y + 16), (x - 7 - wide, y - 9), (x - 7 - wide, y + 16)]  # fmt: skip
-
-    def cost(place: tuple[float, float]) -> float:
-        left, top = place[0], place[1] - 10
-        outside = left < begin - 20 or left + wide > WIDTH or top < ceiling - 12 or top + 12 > floor + 4
-        hits = sum(left < a + w and a < left + wide and abs(top - b) < 11 for a, b, w in taken)
-        return hits + 10 * outside
-
-    left, base = min(places, key=cost)
-    taken.append((left, base - 10, wide))
-    return f'<text class="label" x="{left:.1f}" y="{base:.1f}">{escape(text)}</text>'
 
 
 def with_spread(value: float, spread: float, repeats: int) -> str:

@@ -17,15 +17,16 @@ from simscenes.sets.pictures.png import read_png
 
 TRUTHS = {
     "enhanced": ("Truth: noise-free", "the same exposure without noise, enhanced alike"),
-    "enhanced_demosaiced": ("Truth: noise-free, demosaiced", "the noise-free mosaic, interpolated and enhanced alike"),
-    "linear": ("Truth: noise-free, dark", "the same exposure without noise, not enhanced"),
-    "linear_demosaiced": ("Truth: noise-free, dark, demosaiced", "the noise-free mosaic, interpolated, not enhanced"),
+    "enhanced_demosaiced": ("Truth: demosaiced", "the noise-free mosaic, interpolated and enhanced alike"),
+    "linear": ("Truth: dark", "the same exposure without noise, not enhanced"),
+    "linear_demosaiced": ("Truth: dark, demosaiced", "the noise-free mosaic, interpolated, not enhanced"),
     "lit": ("Truth: well lit", "the scene in good light"),
 }
 LONG = {  # of imported photographs
     "enhanced": ("Truth: long exposure", "brought to the light of the dark one, enhanced alike"),
-    "linear": ("Truth: long exposure, dark", "brought to the light of the dark one, not enhanced"),
+    "linear": ("Truth: dark long exposure", "brought to the light of the dark one, not enhanced"),
 }
+COLUMNS = ("render", "error", "depth", "normal")  # of the pictures of every method, side by side
 WORDS = {"enhanced": "noise-free", "linear": "noise-free", "lit": "well-lit"}
 
 
@@ -38,6 +39,12 @@ class Tile:
     note: str
     alt: str
     picture: Picture
+
+    @property
+    def caption(self) -> str:
+        """What is to be read below it, beside the words of its row and its column."""
+        kind = self.key.partition("-")[0]
+        return self.note if kind == "render" else "" if kind in COLUMNS else self.label.rpartition(": ")[2]
 
 
 @dataclass(frozen=True)
@@ -52,6 +59,24 @@ class ViewTiles:
     probe: dict[str, Any] | None = None  # the header of its pixels' numbers; None without raw frames
     data: Script | None = None  # these numbers
 
+    @property
+    def rows(self) -> list[tuple[str, list[Tile | None]]]:
+        """The pictures in rows: the camera's, those of each method in the order of `COLUMNS`, and the truth's."""
+        known = {tile.key: tile for tile in self.tiles}
+        names = [key.partition("-")[2] for key in known if key.startswith("render-")]
+        of = {name: [known.get(f"{column}-{name}") for column in COLUMNS] for name in names}
+        true = next((tile for key, tile in known.items() if key.startswith("truth-")), None)
+        truth = [true, None, known.get("depth-true"), known.get("normal-true")]
+        shown = {tile.key for row in (*of.values(), truth) for tile in row if tile}
+        rest = dict[str, list[Tile | None]]()
+        for tile in self.tiles:
+            kind, _, name = tile.key.partition("-")
+            if tile.key not in shown:
+                row = "Other truths" if kind == "truth" else f"{name}, as light" if name else "Camera"
+                rest.setdefault(row, []).append(tile)
+        camera = rest.pop("Camera", [])
+        return [row for row in (("Camera", camera), *of.items(), ("Truth", truth), *rest.items()) if any(row[1])]
+
 
 @dataclass
 class _Tiles:
@@ -62,8 +87,9 @@ class _Tiles:
     made: list[Tile] = field(default_factory=list)
 
     def add(self, key: str, label: str, note: str, image: np.ndarray) -> None:
-        picture = self.album.add(image)
-        self.made.append(Tile(key, label, note, f"{label}, {self.view}: {note}", picture))
+        picture = self.album.add(image, exact=key.partition("-")[0] not in COLUMNS[1:])  # nobody reads codes of maps
+        told = f"Rendered by {label}" if key.startswith("render-") else label
+        self.made.append(Tile(key, label, note, f"{told}, {self.view}: {note}", picture))
 
 
 def view_tiles(i: int, place: Place, album: Album, called: str = "") -> ViewTiles:
@@ -82,7 +108,7 @@ def view_tiles(i: int, place: Place, album: Album, called: str = "") -> ViewTile
         noisy = enhanced_dark(capture, i, run.enhancement)
         tiles.add("enhanced", "Enhanced", "the dark input made bright, noise included", noisy)
     if (denoised := run.path / "denoised" / f"{name}.png").exists():
-        tiles.add("denoised", f"Denoised by {main}", "what the scene is fitted to", read_png(denoised))
+        tiles.add("denoised", f"{main}: denoised", "what the scene is fitted to", read_png(denoised))
     shown = {other: each for other, each in runs.items() if held_out or each.shows(name)}
     _add_renders(tiles, i, place, shown, held_out)
     _add_geometry(tiles, i, place, shown)
@@ -100,13 +126,13 @@ def _add_renders(tiles: _Tiles, i: int, place: Place, runs: Mapping[str, Run], h
     for other, run in runs.items():
         scores = place.metrics["methods"][other]["views"].get(name) if held_out else None
         shows[other] = pictured(run, capture, light[other])
-        tiles.add(f"render-{other}", f"Rendered by {other}", render_note(scores, held_out), shows[other])
+        tiles.add(f"render-{other}", other, render_note(scores, held_out), shows[other])
     for other, exposures in ((other, found) for other, found in place.exposures.items() if other in runs):
         of = {"dark": (exposures.dark, "dark input"), "lit": (exposures.lit, "well-lit truth")}
         for kind, (gain, what) in of.items():
             if gain is not None:
                 note = f"its linear light at the exposure of the {what}, not enhanced"
-                label = f"{other}, {'dark' if kind == 'dark' else 'well lit'}"
+                label = f"{other}: {'dark' if kind == 'dark' else 'well lit'}"
                 tiles.add(f"{kind}-{other}", label, note, encode(gain * light[other]))
     truths = {other: references(run, capture, place.lit, i) for other, run in place.runs.items()}
     for kind, image in truths[place.main].items():
@@ -125,20 +151,20 @@ def shown(image: np.ndarray, kind: str) -> np.ndarray:
 def render_note(scores: Mapping[str, Any] | None, held_out: bool) -> str:
     """What the caption of a render says: whether the view is held out, and one of its scores by reference."""
     if not held_out:
-        return "a training view"
+        return "training view"
     first = next(iter((scores or {}).values()), None)
     if first is None:
-        return "held out; not scored, because no truth is known"
+        return "not scored, because no truth is known"
     number = first.get("aligned_psnr", first.get("linear_psnr"))
     if number is None:
-        return "held out; not scored, because the reference shows nothing"
-    return f"held out; {'aligned ' if 'aligned_psnr' in first else 'linear '}PSNR {number:.1f} dB"
+        return "not scored, because the reference shows nothing"
+    return f"{'aligned ' if 'aligned_psnr' in first else 'linear '}PSNR {number:.1f} dB"
 
 
 def _add_error(tiles: _Tiles, name: str, image: np.ndarray, truths: Mapping[str, np.ndarray]) -> None:
     kind, truth = next(iter(truths.items()))
     note = f"distance to the {WORDS[kind]} truth after affine alignment"
-    tiles.add(f"error-{name}", f"Error of {name}", note, error_map(image, shown(truth, kind)))
+    tiles.add(f"error-{name}", f"{name}: error", note, error_map(image, shown(truth, kind)))
 
 
 def _add_geometry(tiles: _Tiles, i: int, place: Place, runs: Mapping[str, Run]) -> None:
@@ -158,16 +184,16 @@ def _add_geometry(tiles: _Tiles, i: int, place: Place, runs: Mapping[str, Run]) 
     for name, (z, seen) in found.items():
         picture = depth_map(z, seen, near, far)
         if name:
-            tiles.add(f"depth-{name}", f"Depth of {name}", f"depth, {near:.3g} to {far:.3g}", picture)
+            tiles.add(f"depth-{name}", f"{name}: depth", f"depth, {near:.3g} to {far:.3g}", picture)
         else:
-            tiles.add("depth-true", "True depth", "of the scene, on the same scale", picture)
+            tiles.add("depth-true", "Truth: depth", "of the scene, on the same scale", picture)
     rig = capture.cameras.rig
     for name, (z, seen) in found.items():
         if name:
             normals = normals_of_depth(np.where(seen, z, 0.0), np.asarray(rig.Ks[i], np.float64))
             note = "of the surface that its depth makes"
-            tiles.add(f"normal-{name}", f"Normals of {name}", note, normal_map(normals, seen))
+            tiles.add(f"normal-{name}", f"{name}: normals", note, normal_map(normals, seen))
         else:
             assert geometry is not None
             turned = geometry["geometric_normals"] @ np.asarray(rig.viewmats[i], np.float64)[:3, :3].T
-            tiles.add("normal-true", "True normals", "of the scene, camera axes", normal_map(turned, seen))
+            tiles.add("normal-true", "Truth: normals", "of the scene, camera axes", normal_map(turned, seen))

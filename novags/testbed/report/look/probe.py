@@ -14,6 +14,7 @@ import numpy as np
 from novags.testbed.folders.capture import Capture
 from sensor_model.isp import white_balance
 
+ROUNDING = 5e-4  # of half precision, relative
 LARGEST = 60_000.0  # what the largest number becomes: half precision ends at 65504, and has fewer bits below 6e-5
 
 
@@ -29,8 +30,9 @@ def probe_of(capture: Capture, i: int) -> Probe | None:
     """Everything that is known of the pixels of view `i`; None where there are no raw frames.
 
     Planes: `dn`, the digital numbers; of a simulated exposure `mean`, the mean of all exposures like it above black,
-    and `noise`, their temporal standard deviation, both in electrons; `linear` and `linear_mean`, the developed light
-    of this exposure and of the noise-free one, 1 = white, where they are not a multiple of `dn` and of `mean`.
+    and `noise`, their temporal standard deviation, both in electrons, unless that is the root of `mean` and of one
+    `floor`; `linear` and `linear_mean`, the developed light of this exposure and of the noise-free one, 1 = white,
+    where they are not a multiple of `dn` and of `mean`.
     """
     if not capture.holds("raw"):
         return None
@@ -38,12 +40,18 @@ def probe_of(capture: Capture, i: int) -> Probe | None:
     sensor = capture.sensor
     dn = capture.raw(i)
     header = {"cfa": cfa, "black": black, "white": white, "gain": None if sensor is None else sensor.gain,
-              "width": dn.shape[1], "height": dn.shape[0], "per_dn": None}  # fmt: skip
+              "width": dn.shape[1], "height": dn.shape[0], "per_dn": None, "floor": None}  # fmt: skip
     planes: dict[str, np.ndarray] = {"dn": dn}
     mean = None if capture.imported else capture.truth(i, "mean")
     if sensor is not None and mean is not None:
         planes["mean"] = (mean - black) / sensor.gain
-        planes["noise"] = np.sqrt(capture.truth(i, "variance")) / sensor.gain
+        noise = np.sqrt(capture.truth(i, "variance")) / sensor.gain
+        floor = float(np.median(noise**2 - planes["mean"]))
+        rooted = np.sqrt(np.maximum(planes["mean"] + floor, 0))
+        if (np.abs(rooted - noise) <= ROUNDING * noise).all():
+            header["floor"] = floor
+        else:
+            planes["noise"] = noise
     alike = not capture.record.uneven.exposures  # `linear` is evened, `dn` is as taken
     if sensor is not None and dn.ndim == 3 and capture.record.color_matrix is None and alike:
         header["per_dn"] = (white_balance(sensor) / (white - black)).tolist()

@@ -9,10 +9,14 @@ novags.cells = {
     if (cell) cell.tabIndex = 0;
     this.stops.set(table, cell);
   },
+  isShown: (cell) => getComputedStyle(cell).display !== "none",  // columns that say the same in every row are not
+  first(table) {
+    return [...table.tBodies[0].querySelectorAll("tr[data-command]:not([hidden]) td.num")].find(this.isShown);
+  },
   // After rows were hidden or put in another order: one that is shown.
   reach(table) {
     const now = this.stops.get(table);
-    if (this.stops.has(table) && (!now?.isConnected || now.parentElement.hidden)) this.stop(table, table.tBodies[0].querySelector("tr[data-command]:not([hidden]) td.num"));
+    if (this.stops.has(table) && (!now?.isConnected || now.parentElement.hidden)) this.stop(table, this.first(table));
   },
   name: (row) => [novags.tables.text(row.querySelector("th")), row.dataset.of].filter(Boolean).join(", "),
   tell(table, cell) {
@@ -29,7 +33,7 @@ novags.cells = {
     box.querySelector("strong").textContent = `${name}, ${what}: ${cell.dataset.value || "no value"}${place}.`;
     box.querySelector("pre").textContent = row.dataset.command;
     const [copy, look, close] = box.querySelectorAll("button");
-    copy.addEventListener("click", () => this.copy(row.dataset.command, copy));
+    copy.addEventListener("click", () => novags.tables.copy(row.dataset.command, copy));
     look.hidden = !("view" in row.dataset);
     look.addEventListener("click", () => novags.look.open(row.dataset.view, row.dataset.picture));
     close.addEventListener("click", () => {
@@ -44,15 +48,6 @@ novags.cells = {
     if (next?.classList.contains("told")) next.remove();
     novags.state.set(`cell.${table.dataset.name}`, "");
   },
-  async copy(text, button) {
-    try {
-      await navigator.clipboard.writeText(text);
-      button.textContent = "Copied";
-    } catch {  // a page from a file may not
-      getSelection().selectAllChildren(button.closest(".told").querySelector("pre"));
-      button.textContent = "Selected: press Ctrl+C";
-    }
-  },
   move(table, cell, key) {
     const row = cell.parentElement, at = cell.cellIndex;
     const beside = (way) => {
@@ -60,7 +55,12 @@ novags.cells = {
       while (other?.hidden) other = other[way];
       return other?.cells[at];
     };
-    const next = { ArrowLeft: row.cells[at - 1], ArrowRight: row.cells[at + 1], ArrowUp: beside("previousElementSibling"), ArrowDown: beside("nextElementSibling") }[key];
+    const along = (step) => {
+      let k = at + step;
+      while (row.cells[k] && !this.isShown(row.cells[k])) k += step;
+      return row.cells[k];
+    };
+    const next = { ArrowLeft: along(-1), ArrowRight: along(1), ArrowUp: beside("previousElementSibling"), ArrowDown: beside("nextElementSibling") }[key];
     if (!next?.classList.contains("num")) return;
     this.stop(table, next);
     next.focus();
@@ -76,7 +76,7 @@ novags.parts.push({
       const row = event.target.closest("tr[data-view] :is(th, td:not(.num))")?.parentElement;
       if (row) novags.look.open(row.dataset.view, row.dataset.picture);
     });
-    const first = table.querySelector("tr[data-command] td.num");
+    const first = novags.cells.first(table);
     if (!first) return;
     novags.cells.stop(table, first);
     const asked = (event) => event.target.closest("tr[data-command] td.num");

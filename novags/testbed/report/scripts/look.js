@@ -5,7 +5,7 @@ novags.look = {
   get grid() { return this.grids[novags.byId("view").value]; },
   figures() { return [...this.grid.querySelectorAll("figure")]; },
   figure(key) { return this.figures().find((figure) => figure.dataset.key === key); },
-  label: (figure) => figure.querySelector("strong").textContent,
+  label: (figure) => figure.querySelector("img").dataset.label,
 
   // Keep the choice from view to view where the new view has that picture.
   fill(side, wanted) {
@@ -38,6 +38,7 @@ novags.look = {
     if (novags.stage.pixel) this.probe();
   },
   fetch(grid) {
+    if ("ready" in grid.dataset) return;
     novags.unpack(grid);
     for (const figure of grid.querySelectorAll("figure")) this.listen(figure);
     grid.classList.toggle("pixels", +grid.querySelector("img").getAttribute("width") < 480);
@@ -55,7 +56,7 @@ novags.look = {
     });
   },
   change(left, right) {
-    if (!("ready" in this.grid.dataset)) this.fetch(this.grid);
+    this.fetch(this.grid);
     this.grids.forEach((grid) => grid.classList.toggle("shown", grid === this.grid));
     this.fill("left", left);
     this.fill("right", right);
@@ -111,9 +112,40 @@ novags.look = {
   },
 };
 
+// The pictures that the page begins with: the grid of that view has no others of its own, and a click compares them.
+novags.film = {
+  figures: [...document.querySelectorAll(".film figure")],
+
+  start() {
+    for (const figure of this.figures) {
+      const image = figure.querySelector("img"), link = document.createElement("a"), small = image.src;
+      const grid = novags.look.grids.find((other) => other.dataset.name === figure.dataset.of);
+      link.href = "#look";
+      image.before(link);
+      link.append(image);
+      link.addEventListener("click", (event) => {
+        event.preventDefault();
+        novags.look.open(figure.dataset.of, figure.dataset.film);
+      });
+      this.same(grid, figure.dataset.film).src = small;
+      if (!image.dataset.full) continue;
+      image.onerror = () => {
+        image.onerror = null;
+        image.src = small;
+      };
+      image.src = image.dataset.full;
+    }
+  },
+  same(grid, key) {
+    novags.look.fetch(grid);
+    return grid.querySelector(`figure[data-key="${CSS.escape(key)}"] img`);
+  },
+};
+
 if (novags.look.grids.length) novags.parts.push({
   start() {
     const { look } = novags;
+    novags.film.start();
     novags.byId("stage").hidden = false;
     novags.byId("view").addEventListener("change", () => {
       look.change();

@@ -62,7 +62,7 @@ novags.probe = {
 
   rows(found, x, y) {
     const { header } = found, { gain, black } = header, map = (values, change) => values && values.map((v, c) => (v === null ? null : change(v, c)));
-    const dn = this.at(found, "dn", x, y), mean = this.at(found, "mean", x, y), noise = this.at(found, "noise", x, y);
+    const dn = this.at(found, "dn", x, y), mean = this.at(found, "mean", x, y), noise = this.at(found, "noise", x, y) ?? (header.floor === null ? null : map(mean, (v) => Math.sqrt(v + header.floor)));
     const light = header.per_dn && ((v, c) => (v - black) * header.per_dn[c]);
     const mean_dn = map(mean, (v) => black + gain * v);
     return [

@@ -62,12 +62,15 @@ novags.parts.push({
       link.href = `#at=${heading.id}`;
       link.textContent = "#";
       link.setAttribute("aria-label", `Link to “${heading.textContent}”`);
-      link.addEventListener("click", (event) => {
-        event.preventDefault();
-        novags.state.set("at", heading.id);
-        heading.scrollIntoView();
-      });
       heading.append(link);
+    }
+    for (const link of document.querySelectorAll(".anchor, .contents a")) {
+      link.addEventListener("click", (event) => {
+        const id = link.hash.split(/[#=]/).pop();
+        event.preventDefault();
+        novags.state.set("at", id);
+        novags.byId(id).scrollIntoView();
+      });
     }
     for (const part of document.querySelectorAll("details[id]")) {
       part.dataset.first = part.open ? "open" : "";

@@ -30,9 +30,11 @@ novags.tables = {
       if (head.hasAttribute("aria-sort")) head.setAttribute("aria-sort", k !== column ? "none" : descending ? "descending" : "ascending");
     });
     if (heads[0].classList.contains("rank")) {
+      const taken = {}, told = (row) => `${row.dataset.of ?? ""} ${row.cells[column].dataset.rank}`;
+      for (const row of rows) taken[told(row)] = (taken[told(row)] ?? 0) + 1;
       for (const row of rows) {
-        const cell = row.cells[column], place = row.cells[0];
-        if (place.textContent !== "†") place.textContent = cell.dataset.rank ?? "";
+        const { rank } = row.cells[column].dataset, place = row.cells[0];
+        if (place.textContent !== "†") place.textContent = rank ? `${rank}${taken[told(row)] > 1 ? "=" : ""}` : "";
       }
     }
     novags.state.set(`sort.${table.dataset.name}`, `${column}${descending ? "d" : "a"}`);
@@ -61,6 +63,48 @@ novags.tables = {
     return lines.map((cells) => cells.map(asText).map(quoted).join(",") + "\n").join("");
   },
 
+  // What is shown, as a table for a paper or for a page: folded columns stay away, the best of a column is bold.
+  shown(table) {
+    const cells = (row) => [...row.cells].filter(novags.cells.isShown);
+    const rows = [...novags.rows.of(table), ...(table.tFoot ? table.tFoot.rows : [])].filter((row) => !row.hidden);
+    const said = (cell) => this.text(cell) + (cell.querySelector(".dagger") ? "†" : "");
+    const heads = cells(table.tHead.rows[0]);
+    const shown = heads.map((head) => head.cellIndex);
+    return {
+      heads: heads.map((head) => (head.classList.contains("rank") ? "#" : said(head))), right: heads.map((head) => head.classList.contains("num")),
+      rows: rows.map((row) => shown.map((k) => ({ text: said(row.cells[k]), best: row.cells[k].classList.contains("best") }))),
+    };
+  },
+  markdown(table) {
+    const { heads, right, rows } = this.shown(table), safe = (text) => text.replaceAll("|", "\\|");
+    const line = (texts) => `| ${texts.join(" | ")} |\n`;
+    return line(heads.map(safe)) + line(right.map((on) => (on ? "---:" : "---")))
+      + rows.map((row) => line(row.map(({ text, best }) => (best ? `**${safe(text)}**` : safe(text))))).join("");
+  },
+  // For booktabs.
+  latex(table) {
+    const { heads, right, rows } = this.shown(table);
+    const signs = { "\\": "\\textbackslash{}", "~": "\\textasciitilde{}", "^": "\\textasciicircum{}", "±": "$\\pm$", "−": "$-$", "†": "$^\\dagger$", "°": "$^\\circ$", "×": "$\\times$" };
+    const safe = (text) => text.replace(/[\\~^±−†°×&%$#_{}]/g, (sign) => signs[sign] ?? `\\${sign}`);
+    const line = (texts) => `${texts.join(" & ")} \\\\\n`;
+    const body = rows.map((row) => line(row.map(({ text, best }) => (best ? `\\textbf{${safe(text)}}` : safe(text)))));
+    return `\\begin{tabular}{${right.map((on) => (on ? "r" : "l")).join("")}}\n\\toprule\n${line(heads.map(safe))}\\midrule\n${body.join("")}\\bottomrule\n\\end{tabular}\n`;
+  },
+  async copy(text, button) {
+    const before = button.textContent;
+    try {
+      await navigator.clipboard.writeText(text);
+    } catch {  // some browsers refuse it to pages from files
+      const area = Object.assign(document.createElement("textarea"), { value: text });
+      document.body.append(area);
+      area.select();
+      document.execCommand("copy");
+      area.remove();
+    }
+    button.textContent = "Copied";
+    setTimeout(() => (button.textContent = before), 1500);
+  },
+
   download(table) {
     const link = document.createElement("a");
     link.href = URL.createObjectURL(new Blob([this.csv(table)], { type: "text/csv" }));
@@ -77,7 +121,7 @@ novags.tables = {
     if (!wider) return;
     const edge = scroll.getBoundingClientRect().right + 1;
     const beyond = [...table.tHead.rows[0].cells].filter((cell) => cell.getBoundingClientRect().right > edge).length;
-    note.textContent = beyond ? `→ ${beyond} more ${beyond === 1 ? "column" : "columns"}: move sideways` : "← more columns: move sideways";
+    note.textContent = beyond ? `→ ${beyond} more ${beyond === 1 ? "column" : "columns"}` : "← more columns";
   },
 };
 
@@ -89,10 +133,15 @@ novags.parts.push({
     const { tables } = novags, scroll = table.parentElement, over = document.createElement("div");
     const heads = [...table.tHead.rows[0].cells], rows = [...novags.rows.of(table)];
     over.className = "over";
-    over.innerHTML = '<span class="more" hidden></span><button type="button">CSV</button>';
-    const [note, csv] = over.children;
-    csv.setAttribute("aria-label", `Download “${scroll.getAttribute("aria-label")}” as CSV`);
-    csv.addEventListener("click", () => tables.download(table));
+    over.innerHTML = '<span class="more" hidden></span><span>Copy as</span><button type="button">LaTeX</button><button type="button">Markdown</button><button type="button">CSV</button><button type="button">Save</button>';
+    const [note, , ...copies] = over.children, save = copies.pop(), name = scroll.getAttribute("aria-label");
+    for (const button of copies) {
+      const kind = button.textContent;
+      button.setAttribute("aria-label", `Copy “${name}” as ${kind}`);
+      button.addEventListener("click", () => tables.copy(tables[kind.toLowerCase()](table), button));
+    }
+    save.setAttribute("aria-label", `Download “${name}” as CSV`);
+    save.addEventListener("click", () => tables.download(table));
     scroll.before(over);
     heads.forEach((head, column) => {
       if (head.classList.contains("rank")) return;

@@ -46,12 +46,17 @@ novags.views = {
       const mean = score.spread.mean[m];
       if (typeof mean === "number") drawing.append(svg("line", { class: "mean", x1: x(mean), x2: x(mean), y1: y - 8, y2: y + 8 }));
     });
-    for (const share of [0, 0.5, 1]) {
-      const value = low + pad + share * (high - low - 2 * pad);
-      drawing.append(text(`${value.toFixed(score.digits)}${unit}`, { x: x(value), y: height - 6, "text-anchor": "middle" }));
-    }
+    const ticks = this.ticks(low, high);
+    ticks.forEach((value, k) => drawing.append(text(`${+value.toPrecision(12)}${k === ticks.length - 1 ? unit : ""}`, { class: "tick", x: x(value), y: height - 6, "text-anchor": "middle" })));
     box.append(drawing);
     for (const label of drawing.querySelectorAll("text.name")) this.fit(label, left - 14);
+  },
+
+  // Round values, as the other charts have them: steps of 1, 2 or 5.
+  ticks(low, high) {
+    const power = 10 ** Math.floor(Math.log10((high - low) / 5)), rough = (high - low) / 5 / power;
+    const step = power * [1, 2, 5, 10].find((factor) => factor >= rough - 1e-9), first = Math.ceil(low / step - 1e-9);
+    return Array.from({ length: Math.floor(high / step + 1e-9) - first + 1 }, (_, k) => (first + k) * step);
   },
 
   // Names of variants differ at their beginnings or at their ends: what does not fit is cut out of the middle.

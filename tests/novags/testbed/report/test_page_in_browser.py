@@ -96,9 +96,7 @@ def test_csv_has_the_numbers_of_the_files_in_the_order_that_is_shown(
 ) -> None:
     tab = visit(experiment / "report.html", "#sort.scores-enhanced=1a")
     with tab.expect_download() as loading:
-        tab.locator('.scroll:has(table[data-name="scores-enhanced"])').locator(
-            "xpath=preceding-sibling::div[1]//button"
-        ).click()
+        tab.get_by_label("Download “Scores against enhanced” as CSV").click()
     assert loading.value.suggested_filename == "scores-enhanced.csv"
     rows = list(csv.DictReader(Path(loading.value.path()).read_text(encoding="utf-8").splitlines()))
     metrics = {name: run.scores() or {} for name, run in runs_in([experiment]).items()}

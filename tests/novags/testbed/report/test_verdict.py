@@ -81,18 +81,6 @@ def test_one_run_alone_comes_first_of_nothing() -> None:
     assert verdict.verdict(material(plain={"aligned_psnr": 24.0})).startswith("plain reaches 24.00 dB")
 
 
-def test_the_cards_are_those_of_the_run_in_the_headline() -> None:
-    found = verdict.cards(
-        material(plain={"aligned_psnr": 24.0}, ours={"aligned_psnr": 25.5}, rival={"aligned_psnr": 26.25}), 60.0
-    )
-    assert [(card["value"], card["label"]) for card in found] == [
-        ("26.25", "rival, held-out views"),
-        ("+2.25", "over plain, this scene, one view and one seed: no error is known"),
-        ("62 ± 3", "of the loss to noise recovered"),
-        ("60 s", "in all"),
-    ]  # fmt: skip
-
-
 def test_methods_with_references_of_their_own_are_compared_with_the_well_lit_one() -> None:
     found = material(plain={"aligned_psnr": 24.0}, ours={"aligned_psnr": 30.0})
     for name, value in (("plain", 20.0), ("ours", 18.0)):

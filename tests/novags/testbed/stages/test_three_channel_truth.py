@@ -153,7 +153,7 @@ def test_both_references_are_scored_and_reported_by_name(experiment: Path) -> No
         assert found["mean"]["enhanced"]["aligned_psnr"] != found["mean"]["enhanced_demosaiced"]["aligned_psnr"]
     page = (experiment / "report.html").read_text()
     assert page.count("Scores against enhanced_demosaiced") == 1
-    assert "Truth: noise-free, demosaiced" in page
+    assert "Truth: demosaiced" in page
     naive = open_run(experiment / "naive")
     capture, lit = naive.inputs(QUIET)
     found = references(naive, capture, lit, 0)

@@ -9,10 +9,14 @@ from typing import Any
 
 import pytest
 
+from novags.testbed import stages
 from novags.testbed.console.terminal import Console
+from novags.testbed.viewer.panel import ControlPanel
 from novags.testbed.viewer.server import address_of
 from novags.testbed.viewer.session import Session
 from novags.testbed.viewer.shown import shown_of
+from novags.testbed.viewer.world import SIZE
+from tests.miniatures import unsealed
 
 
 def test_what_cannot_be_exposed_is_said_and_hides_no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -61,6 +65,74 @@ def test_the_box_for_cameras_shows_and_hides_those_of_the_method_too(runs: dict[
     session.panel.cameras.value = False
     session._show_estimated()
     assert not there
+
+
+def scored(folder: Path, source: dict[str, Path], values: dict[str, float]) -> list[Path]:
+    """Copies of the runs with these aligned PSNR, as far as they have one."""
+    for part in ("photos", "capture", "first", "second"):
+        shutil.copytree(source["capture"].parent / part, folder / part)
+    for name, value in values.items():
+        stages.score(folder / name, Console(quiet=True))
+        found = json.loads((folder / name / "metrics.json").read_text())
+        (scores,) = found["methods"].values()
+        scores["mean"]["enhanced"]["aligned_psnr"] = value
+        (folder / name / "metrics.json").write_text(json.dumps(found))
+        unsealed(folder / name / "metrics.json")
+    return [folder / "first", folder / "second"]
+
+
+@pytest.mark.parametrize(
+    ("values", "pair"),
+    [
+        ({"first": 20.0, "second": 25.0}, ("naive-l1", "naive")),
+        ({"first": 26.0, "second": 25.0}, ("naive", "naive-l1")),
+        ({}, ("naive-l1", "naive")),  # not scored: the first that is no bound, beside the floor
+    ],
+)
+def test_it_begins_with_the_best_method_beside_the_floor(
+    runs: dict[str, Path], tmp_path: Path, values: dict[str, float], pair: tuple[str, str]
+) -> None:
+    (shown,) = shown_of(scored(tmp_path, runs, values), Console(quiet=True))
+    assert shown.pair == pair
+    (alone,) = shown_of([tmp_path / "first"], Console(quiet=True))
+    assert alone.pair == ("naive", "naive")
+
+
+def test_it_begins_in_a_training_view_and_sees_what_that_camera_saw(runs: dict[str, Path]) -> None:
+    session = object.__new__(Session)
+    session.all_shown = shown_of([runs["first"], runs["second"]], Console(quiet=True))
+    camera = SimpleNamespace()
+    session.client = SimpleNamespace(
+        scene=SimpleNamespace(set_up_direction=lambda up: None), camera=camera, atomic=nullcontext
+    )
+    session.plates = {}
+    controls = {name: SimpleNamespace(value="…", options=("…",), visible=True)
+                for name in ("capture", "method", "other", "switch")}  # fmt: skip
+    offer = ControlPanel.offer
+    session.panel = SimpleNamespace(**controls, offer=lambda *given: offer(session.panel, *given))  # type: ignore[assignment]
+    session._enter()
+    (shown,) = session.all_shown
+    train = shown.capture.cameras.train_indices[0]
+    viewmat = shown.world.viewmats[train]
+    assert camera.position == pytest.approx(-viewmat[:3, :3].T @ viewmat[:3, 3])
+    assert (viewmat[:3, :3] @ (camera.look_at - camera.position)) / 3 == pytest.approx([0, 0, 1], abs=1e-9)
+    assert shown.world.nearest(viewmat) not in shown.capture.cameras.test_indices
+    assert (session.panel.method.value, session.panel.other.value) == shown.pair
+    assert session.panel.switch.visible
+    controls["method"].value = "naive"  # what was chosen stays, as on another capture of the same methods
+    session._enter()
+    assert session.panel.method.value == "naive"
+
+
+def test_frusta_are_small_beside_the_scene_however_many_there_are(runs: dict[str, Path]) -> None:
+    made = list[float]()
+    session = object.__new__(Session)
+    session.all_shown = shown_of([runs["first"]], Console(quiet=True))
+    add = SimpleNamespace(add_camera_frustum=lambda *_, scale, **more: made.append(scale))
+    session.client, session.panel = SimpleNamespace(scene=add), SimpleNamespace(capture=SimpleNamespace(value=""))  # type: ignore[assignment]
+    for viewmat in session.shown.world.viewmats:
+        session._frustum("/cameras/x", viewmat, (0, 0, 0))
+    assert 0 < max(made) <= SIZE / 20
 
 
 def test_all_gaussians_of_the_method_before_are_taken_away(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -129,6 +129,28 @@ def test_a_chart_holds_all_levels_and_the_ends_of_all_bars(
     ]
 
 
+def test_places_of_one_score_are_drawn_small_and_on_common_axes(
+    curves: list[Curve], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn = list[Any]()
+
+    def chart(title: str, x: Any, y: Any, *rest: Any, **more: Any) -> Any:
+        drawn.append((title.partition(": ")[0], x, y, more["legend"]))
+        return SimpleNamespace(svg=lambda: "<svg >")
+
+    monkeypatch.setattr(module, "Chart", chart)
+    material: Any = SimpleNamespace(rows=rows(), axes=AXES, looks=LOOKS, path=tmp_path / "report.html")
+    found = module.light(material, SimpleNamespace(path=tmp_path / "report.html"))  # type: ignore[arg-type]
+    assert found is not None
+    several = [charts for _, charts in found["measures"] if len(charts) > 1]
+    assert several
+    for charts in several:
+        own = [(x, y) for title, x, y, _ in drawn if title == charts[0][0].title.partition(": ")[0]]
+        assert len({(x.low, x.high, y.low, y.high) for x, y in own}) == 1
+    assert sum(not legend for *_, legend in drawn) == sum(len(charts) for charts in several)
+    assert [name for name, *_ in found["key"]] == list(METHODS)
+
+
 def test_a_record_has_all_levels_of_a_curve(curves: list[Curve]) -> None:
     found = as_record(curves[0])
     assert [(level["electrons"], level["values"]) for level in found["levels"]] == [
@@ -144,7 +166,8 @@ def test_all_files_are_written_and_foretold(tmp_path: Path) -> None:
     there = sorted(tmp_path.iterdir())
     assert sorted(light_files(material)) == there == files_in(tmp_path, AXES)
     assert len(there) == 3 + 3
-    assert [chart.file for chart, _ in found["charts"]] == [path.name for path in there if path.suffix == ".svg"]
+    drawn = [chart.file for _, charts in found["measures"] for chart, _ in charts]
+    assert drawn == [path.name for path in there if path.suffix == ".svg"]
     assert len(json.loads((tmp_path / "light.json").read_text())["curves"]) == 8
     assert len(list(csv.DictReader((tmp_path / "light.csv").read_text().splitlines()))) == 8 * len(LEVELS)
     assert len(list(found["knees"].rows)) == len(

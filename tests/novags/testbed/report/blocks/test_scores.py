@@ -111,7 +111,7 @@ def test_every_run_that_is_scored_is_ranked(monkeypatch: pytest.MonkeyPatch) -> 
     table = scores.ranked_table("lit", place, {"b": "novags b"}, more)
     assert table is not None
     found = list(table.rows)
-    assert [(row.cells[0].text, row.cells[1].text) for row in found] == [(1, "a"), (2, "b"), ("\u2020", "c")]
+    assert [(row.cells[0].text, row.cells[1].text) for row in found] == [("1", "a"), ("2", "b"), ("\u2020", "c")]
     assert [[each.text for each in row.cells[-2:]] for row in found] == [
         ["", ""],
         ["+1.50 <small>± 0.25</small>", ""],
@@ -121,10 +121,41 @@ def test_every_run_that_is_scored_is_ranked(monkeypatch: pytest.MonkeyPatch) -> 
     assert [column.heading for column in table.columns][-2:] == ["Over a", "Recovered"]
 
 
+def test_a_shared_place_is_written_so() -> None:
+    assert [scores.placed(rank, [1, 1, 3, None], True) for rank in (1, 3, None)] == ["1=", "3", ""]
+    assert scores.placed(None, [1], False) == "†"
+
+
+def test_a_method_with_one_number_takes_a_sentence_and_no_table() -> None:
+    row = scores.TableRow(["1", scores.TableCell("raw"), scores.TableCell("56.10"), scores.TableCell("+1.00")])
+    shown = [scores.Column(name) for name in ("#", "Method", "PSNR linear", "Over naive")]
+    alone = scores.Table("scores-linear", "", shown, [row])
+    assert scores._alone("linear", alone) == (
+        "raw: PSNR linear 56.10 dB against the noise-free exposure in linear light"
+    )
+    assert not scores._alone("linear", scores.Table("scores-linear", "", shown, [row, row]))
+    assert not scores._alone("lit", alone)  # which has other scores beside it
+    assert not scores._alone("linear", None)
+
+
+@pytest.mark.parametrize(("ranks", "best"), [((1, 2), [True, False]), ((1, 1), [False, False])])
+def test_the_best_is_marked_where_another_is_seen_to_be_worse(ranks: tuple[int, int], best: list[bool]) -> None:
+    material: Any = SimpleNamespace(looks={name: look(name) for name in "ab"}, commands={})
+    column = ("lit.psnr", "PSNR", "dB", True, 2)
+    lines = [line(0, name, {"run": 1, "state": "done"}, **{"lit.psnr": (20.0, None)}) for name in "ab"]
+    for each, rank in zip(lines, ranks, strict=True):
+        each.places["lit.psnr"] = rank
+    near = [each.places for each in lines]
+    page: Any = SimpleNamespace(views={})
+    rows = [scores._line(each, material, page, (), [column], "lit.psnr", near) for each in lines]
+    assert ["best" in str(row.cells[-1].attributes) for row in rows] == best
+    assert rows[0].cells[0].text == ("1=" if ranks == (1, 1) else "1")
+
+
 def test_a_line_of_several_axes_has_a_cell_for_each() -> None:
     material: Any = SimpleNamespace(looks={"a": look("a")}, commands={})
     page: Any = SimpleNamespace(views={})
-    row = scores._line(line(3, "a", {"run": 1, "state": "done"}), material, page, ("level", "scene"), (), "")
+    row = scores._line(line(3, "a", {"run": 1, "state": "done"}), material, page, ("level", "scene"), (), "", [])
     assert [cell.text for cell in row.cells[1:]] == ["a", 3, "s", "1"]
 
 

@@ -8,10 +8,10 @@ from xml.etree import ElementTree
 
 import pytest
 
-from novags.testbed.report.charts import DISC
+from novags.testbed.report.charts import DISC, label
 from novags.testbed.report.curves import figure as module
 from novags.testbed.report.curves import page
-from novags.testbed.report.curves.figure import DIAMOND, _label, _panel, _series, figure
+from novags.testbed.report.curves.figure import DIAMOND, _panel, _series, figure
 from novags.testbed.report.curves.table import defaults, heading, said, tables
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -64,7 +64,7 @@ def test_the_axes_of_a_panel_hold_all_points_and_their_bars(
     points: list[dict[str, Any]], order: tuple[int, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     drawn = list[Any]()
-    chart = SimpleNamespace(at=lambda x, y: (x, y), inside=lambda: "", box=(0, 0, 1, 1))
+    chart = SimpleNamespace(at=lambda x, y: (x, y), inside=lambda: "", box=(0, 0, 1, 1), width=1)
     monkeypatch.setattr(module, "Chart", lambda *a, **b: drawn.append(a) or chart)
     for errors, spread, logarithmic in (((9.0, 1.0, 6.0, 5.0), 0.4, True), ((9.0, 8.0, 8.5, 8.25), 2.0, False)):
         _panel("nova.steps", [{**points[k], "error": errors[k], "error_sd": spread} for k in order])
@@ -78,9 +78,9 @@ def test_the_axes_of_a_panel_hold_all_points_and_their_bars(
 
 def test_a_label_lies_on_no_other_label_and_on_no_point() -> None:
     """Every place but one beside the point is taken, whichever that is."""
-    chart: Any = SimpleNamespace(at=lambda x, y: (150.0, 100.0), box=(0, 0, 400, 300))
+    chart: Any = SimpleNamespace(box=(0, 0, 400, 300), width=360)
     taken = list[tuple[float, float, float]]()
-    found = [_label(point("nova.steps", "s", 1.0, 1.0), chart, taken) for _ in range(4)]
+    found = [label("s", (150.0, 100.0), chart, taken) for _ in range(4)]
     places = [tuple(map(float, re.findall(r'[xy]="([\d.]+)"', each))) for each in found]
     for i, (x, y) in enumerate(places):
         for a, b in places[:i]:
@@ -89,7 +89,7 @@ def test_a_label_lies_on_no_other_label_and_on_no_point() -> None:
 
 def test_every_point_is_in_the_way_of_labels(points: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch) -> None:
     blocked = list[int]()
-    monkeypatch.setattr(module, "_label", lambda point, chart, taken: blocked.append(len(taken)) or "")
+    monkeypatch.setattr(module, "label", lambda text, beside, chart, taken: blocked.append(len(taken)) or "")
     _panel("nova.steps", points[:4])
     assert blocked == [4] * 4
 

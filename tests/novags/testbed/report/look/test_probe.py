@@ -26,6 +26,8 @@ def planes(header: dict[str, Any], data: bytes) -> dict[str, np.ndarray]:
         found[plane["name"]] = values.reshape(shape)
         start += 2 * count
     assert start == len(raw)
+    if header["floor"] is not None:
+        found["noise"] = np.sqrt(found["mean"] + header["floor"])
     return found
 
 
@@ -50,6 +52,26 @@ def test_a_probe_holds_what_the_files_of_the_capture_say(captures: dict[str, Cap
     assert np.moveaxis(found["linear"], 0, -1) == pytest.approx(capture.linear16(1), rel=6e-4, abs=1e-7)
     assert np.moveaxis(found["linear_mean"], 0, -1) == pytest.approx(capture.clean_linear(1), rel=6e-4, abs=1e-7)
     assert probe.header["cfa"] == sensor.cfa
+
+
+def test_noise_that_the_mean_does_not_give_has_numbers_of_its_own(
+    captures: dict[str, Capture], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Photon noise is the root of the mean and of a floor: that is one number; a pattern of its own is not."""
+    capture = captures["chips"]
+    assert capture.sensor is not None
+    plain = probe_of(capture, 1)
+    mean = capture.truth(1, "mean")
+    rows = np.arange(24, dtype=np.float32)[:, None, None]
+    truths = {"mean": mean, "clean": mean, "variance": mean + rows}
+    monkeypatch.setattr(type(capture), "truth", lambda self, i, kind: truths[kind])
+    probe = probe_of(capture, 1)
+    assert probe is not None
+    assert plain is not None
+    assert (plain.header["floor"] is not None, probe.header["floor"]) == (True, None)
+    noise = planes(probe.header, probe.data)["noise"]
+    assert np.moveaxis(noise, 0, -1) == pytest.approx(np.sqrt(mean + rows) / capture.sensor.gain, rel=6e-4)
+    assert len(plain.data) < len(probe.data)
 
 
 def test_signals_beyond_half_precision_keep_their_scale(captures: dict[str, Capture], monkeypatch: Any) -> None:
