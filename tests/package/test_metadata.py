@@ -8,7 +8,7 @@ import yaml
 
 from sensor_model.files.toml_file import read_toml
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 TABLE = read_toml(ROOT / "pyproject.toml")
 PROJECT = TABLE["project"]
 
