@@ -1,4 +1,4 @@
-"""Compile kernels ahead of their first use: `python -m novags.warm [PART ...]`, which scripts/setup runs.
+"""Compile kernels ahead of their first use: `python -m novags.warm [PART ...]`.
 
 Their machine code is kept in this user's cache (`sensor_model.fast.machine_code`); where it is there already, this
 takes as long as importing torch.

@@ -243,7 +243,7 @@ def test_doctor_says_whether_fits_run_on_the_gpu(gsplat: str | None, monkeypatch
     machine = doctor.hardware() | {"gpu": "some card"}
     monkeypatch.setattr(doctor, "hardware", lambda: machine)
     findings = {finding.name: finding for finding in doctor.examine()}
-    said = "fits run on it (--device cpu: not)" if gsplat else "fits run on the processor until scripts/setup cuda"
+    said = "fits run on it (--device cpu: not)" if gsplat else "fits run on the processor until pip install"
     assert findings["CUDA"].detail.startswith(f"some card; {said}")
     assert findings["CUDA"].state == findings["gsplat"].state == ("ok" if gsplat else "missing")
     assert "VGGT" not in findings  # nothing here uses it

@@ -1,8 +1,7 @@
 """Light levels shaped after the data sets of the NOVA-GS paper: a camera, its light, and which pictures it delivers.
 
 The paper says in words and histograms how dark and how noisy its data sets are, and which have 16 bits; it names
-neither cameras nor electrons. `source` is its words, the rest is chosen to fit them; docs/light-levels.md measures the
-result.
+neither cameras nor electrons. `source` is its words, the rest is chosen to fit them.
 """
 
 from dataclasses import dataclass
