@@ -318,7 +318,7 @@ def test_ctrl_c_while_a_library_loads_is_an_interruption(
 ) -> None:
     """Rationale: pycolmap makes "Cannot import the C++ backend" of it, which was to be reported with a traceback."""
 
-    def load(what: str) -> str:
+    def load(*_: object) -> str:
         try:
             try:
                 raise KeyboardInterrupt
@@ -344,7 +344,7 @@ def test_ctrl_c_while_numpy_loads_is_said_without_it(
 ) -> None:
     """Rationale: numpy, half loaded, ended the command with a thousand lines of its recursion and the exit code 1."""
 
-    def load(what: str) -> str:
+    def load(*_: object) -> str:
         monkeypatch.setitem(sys.modules, "sensor_model.files.reading", None)  # importing that fails from here on
         raise KeyboardInterrupt
 
