@@ -52,7 +52,7 @@ def by_text(text: str) -> str:
 
 
 def free(name: str) -> bool:
-    """Whether what stands under this licence can be a part of what novags needs."""
+    """Whether novags can be given away together with a package under this licence."""
     choices = re.split(r"\bOR\b", name)
     return bool(name) and not all(re.search(r"\bA?GPL|(?<!Lesser )General Public License", one) for one in choices)
 
