@@ -4,7 +4,7 @@ import inspect
 import types
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from novags.options import absent
 
@@ -36,7 +36,8 @@ def annotations(command: Callable[..., None], words: Sequence[str]) -> dict[str,
     An option that need not be given shows the value that the preset has for it, and never None. A completion is told
     the names that an option takes.
     """
-    hints, parameters = get_type_hints(command, include_extras=True), inspect.signature(command).parameters
+    parameters = inspect.signature(command).parameters
+    hints = {name: parameter.annotation for name, parameter in parameters.items()}
     if completing(words):
         return {name: _one_of(hint, names) if (names := _names(name)) else hint for name, hint in hints.items()}
     asked = "preset" in parameters and {"-h", "--help"} & set(words)
