@@ -2,12 +2,14 @@
 
 import dataclasses
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import wraps
-from typing import Any
+from inspect import signature
+from typing import Any, Literal, get_args, get_origin
 
 import tyro
 
+from novags.commands.answers.shown import annotations, completing, with_first_words
 from novags.commands.dataset import dataset
 from novags.commands.every import HELP, without_common
 from novags.commands.experiment import run
@@ -22,7 +24,7 @@ from novags.commands.store import store
 from novags.commands.study import compare, study
 from novags.failure import errors_in_one_line, warnings_in_one_line
 
-NUMBERS = tyro.constructors.ConstructorRegistry()
+TYPES = tyro.constructors.ConstructorRegistry()
 COMMANDS: dict[str, Callable[..., None]] = {
     function.__name__.rstrip("_").replace("_", "-"): function
     for function in (
@@ -63,12 +65,22 @@ def main() -> None:
         return
     with errors_in_one_line(), warnings_in_one_line():
         words, common = without_common(sys.argv[1:])
-        commands = {name: _with_numbers(command) for name, command in COMMANDS.items()}
-        with common, NUMBERS:
-            tyro.extras.subcommand_cli_from_dict(commands, prog="novags", description=DESCRIPTION, args=words)
+        if words and not words[0].startswith("-") and words[0] not in COMMANDS:
+            from sensor_model.files.reading import meant  # numpy comes with it: --help must not wait for that
+
+            raise ValueError(f"unknown command {words[0]!r:.80}; {meant(words[0], COMMANDS)}available: "
+                             f"{', '.join(COMMANDS)}")  # fmt: skip
+        shown = COMMANDS if completing(words) else words[:1]  # of others nobody asks for names and presets
+        commands = {name: _checked(command, words if name in shown else ()) for name, command in COMMANDS.items()}
+        with common, TYPES:
+            try:
+                tyro.extras.subcommand_cli_from_dict(commands, prog="novags", description=DESCRIPTION, args=words)
+            finally:
+                if words[:2] == ["--tyro-print-completion", "bash"]:
+                    print(with_first_words(COMMANDS, words))
 
 
-@NUMBERS.primitive_rule
+@TYPES.primitive_rule
 def _number(info: tyro.constructors.PrimitiveTypeInfo) -> tyro.constructors.PrimitiveConstructorSpec[Any] | None:
     """How tyro reads numbers: refused ones are named in one line where the option's name is known."""
     kind = info.type
@@ -80,9 +92,30 @@ def _number(info: tyro.constructors.PrimitiveTypeInfo) -> tyro.constructors.Prim
     )  # fmt: skip
 
 
+@TYPES.primitive_rule
+def _choice(info: tyro.constructors.PrimitiveTypeInfo) -> tyro.constructors.PrimitiveConstructorSpec[Any] | None:
+    """How tyro reads one of several words: others are refused in one line. Completion needs tyro's."""
+    choices = get_args(info.type)
+    if get_origin(info.type) is not Literal or completing(sys.argv[1:]):
+        return None
+
+    def read(words: list[str]) -> Any:
+        from sensor_model.files.reading import meant
+
+        near = meant(words[0], choices).rstrip()
+        return words[0] if words[0] in choices else _Refused(
+            f"must be one of {', '.join(choices)}, got {words[0]!r:.80}{near and f'; {near}'}"
+        )  # fmt: skip
+
+    return tyro.constructors.PrimitiveConstructorSpec(
+        nargs=1, metavar=f"{{{','.join(choices)}}}", instance_from_str=read,
+        is_instance=lambda found: found in choices, str_from_instance=lambda found: [str(found)],
+    )  # fmt: skip
+
+
 @dataclasses.dataclass(frozen=True)
 class _Refused:
-    """In place of a number that was refused: why."""
+    """In place of a word that was refused: why."""
 
     why: str
 
@@ -96,15 +129,20 @@ def _read(word: str, kind: Any) -> Any:
         return _Refused(str(error))
 
 
-def _with_numbers(command: Callable[..., None]) -> Callable[..., None]:
-    """The command, begun only if no number was refused."""
+def _checked(command: Callable[..., None], words: Sequence[str]) -> Callable[..., None]:
+    """The command, begun only if no word was refused; given the words of a line, as help and completion show it."""
+    options_alone = {name for name, found in signature(command).parameters.items() if found.kind is found.KEYWORD_ONLY}
 
     @wraps(command)
-    def checked(*words: Any, **options: Any) -> None:
+    def checked(*given: Any, **options: Any) -> None:
         for name, refused in _refused(options):
-            raise ValueError(f"--{name.replace('_', '-')} {refused.why}")
-        command(*words, **options)
+            raise ValueError(f"{'--' if name in options_alone else ''}{name.replace('_', '-')} {refused.why}")
+        command(*given, **options)
 
+    if words:
+        del checked.__wrapped__
+        checked.__signature__ = signature(command)  # type: ignore[attr-defined]
+        checked.__annotations__ = annotations(command, words)
     return checked
 
 

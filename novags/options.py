@@ -18,6 +18,11 @@ Repeated = Annotated[tuple[str, ...], tyro.conf.UseAppendAction]
 Define = Annotated[tuple[str, ...], tyro.conf.arg(aliases=("-D",)), tyro.conf.UseAppendAction]
 
 
+def absent(metavar: str, instead: str = "") -> Any:
+    """How help shows an option that need not be given: its text, or `instead`, says what holds then, not "None"."""
+    return tyro.conf.arg(metavar=metavar, help_behavior_hint=instead)
+
+
 @dataclass(frozen=True)
 class LightOptions:
     """How light gets from the lamps to the sensor."""
@@ -28,15 +33,15 @@ class LightOptions:
     """Effects of light to simulate whatever the plan says, by the names that `novags plan` prints."""
     off: tuple[str, ...] = ()
     """Effects of light to leave out."""
-    max_depth: int | None = None
+    max_depth: Annotated[int | None, absent("INT")] = None
     """Longest path of light, as Mitsuba counts; the plan chooses if not given."""
-    aperture_radius: float | None = None
+    aperture_radius: Annotated[float | None, absent("FLOAT")] = None
     """Radius of the lens opening in scene units; 0 for a pinhole. If not given: a file's own lens, else a pinhole."""
-    focus_distance: float | None = None
+    focus_distance: Annotated[float | None, absent("FLOAT")] = None
     """Depth in focus, in scene units."""
-    motion: float | None = None
+    motion: Annotated[float | None, absent("FLOAT")] = None
     """How far the cameras travel during the exposure, as a fraction of the way to the next view."""
-    response: str | None = None
+    response: Annotated[str | None, absent("STR")] = None
     """Measured colour sensitivities of a camera, by colour-science's name ("Nikon 5100 (NPL)"): the set then holds what
     its filters see instead of linear sRGB, from spectra where the scene needs them."""
     define: Define = ()
@@ -68,13 +73,13 @@ LIGHT = LightOptions()
 class ClusterOptions:
     """The Ray cluster of --engine ray."""
 
-    address: str | None = None
+    address: Annotated[str | None, absent("STR")] = None
     """HOST:PORT of the cluster. If not given: RAY_ADDRESS, one that runs on this machine, or else one started here."""
     needs: tuple[str, ...] = ()
     """What tasks take: "cpus=2,memory=8GB" for all, "run:gpus=1" or "set:cpus=8" for one kind of set, capture, run."""
     retries: int = 3
     """Times that a task is tried again after its process or its node was lost."""
-    scratch: str | None = None
+    scratch: Annotated[str | None, absent("STR")] = None
     """Folder on each node for files fetched from a store at a URL; in its folder for temporary files if not given."""
 
 

@@ -1,7 +1,7 @@
 """How a process of ours computes: speed, and the same bits whatever else the machine does.
 
 Commands and workers call `settle` first. Importing novags changes nothing in a process; who uses it as a library calls
-`settle` before torch is imported, or does as docs/in-python.md says.
+`settle` before torch is imported, or sets `ENVIRONMENT` before it starts Python.
 """
 
 import ctypes

@@ -1,4 +1,4 @@
-"""Compile kernels ahead of their first use: `python -m novags.warm [PART ...]`, which scripts/setup runs.
+"""Compile kernels ahead of their first use: `python -m novags.warm [PART ...]`.
 
 Their machine code is kept in this user's cache (`sensor_model.fast.machine_code`); where it is there already, this
 takes as long as importing torch.
@@ -6,9 +6,11 @@ takes as long as importing torch.
 
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from threading import Event, Thread
 from typing import Any
 
 from sensor_model.files.registry import Later, loaded
@@ -39,6 +41,7 @@ PARTS = {
     "fields": KernelPart("train radiance fields", Later("novags.fields.warm:warm"),
                          "novags.splats.cpu.compiler:CACHE", 8),
 }  # fmt: skip
+BEAT = 15.0  # s between two signs of life
 DEMO = ("gaussians", "camera")  # what the demo uses
 
 
@@ -52,10 +55,28 @@ def compile_ahead(name: str, say: Callable[[str], None]) -> None:
     again = "once on this machine" if done else "in every process, see novags doctor"
     say(f"compiling the kernels that {part.title}, about {part.seconds} s, {again}")
     started = time.perf_counter()
-    part.warm()
+    with _signs_of_life(part, say):
+        part.warm()
     say(f"compiled the kernels that {part.title}: {time.perf_counter() - started:.0f} s")
     if done is not None and done.parent.is_dir():
         done.touch()
+
+
+@contextmanager
+def _signs_of_life(part: KernelPart, say: Callable[[str], None]) -> Iterator[None]:
+    ended, started = Event(), time.perf_counter()
+
+    def beat() -> None:
+        while not ended.wait(BEAT):
+            say(f"still compiling: {time.perf_counter() - started:.0f} s of about {part.seconds} s")
+
+    thread = Thread(target=beat, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
 
 
 def kernels_of(config: Any) -> str | None:

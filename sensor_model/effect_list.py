@@ -1,9 +1,9 @@
 """Every effect of the camera: where the parts of ours are, and effects from outside.
 
-`docs/adding-a-sensor-effect.md` shows how to add one of either kind. Names of functions are relative to this package.
-`tests/sensor_model/test_effect_list.py` goes through our rows and fails if one of the parts is missing or disagrees
-with the others.
+Names of functions are relative to this package. `novags new effect NAME` writes one from outside.
 """
+# docs/adding-a-sensor-effect.md shows how to add one of either kind. tests/sensor_model/test_effect_list.py goes
+# through our rows and fails if one of the parts is missing or disagrees with the others.
 
 from __future__ import annotations
 

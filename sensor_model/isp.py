@@ -5,14 +5,13 @@ Stages: black level, white balance, demosaic, colour matrix, digital gain, clip,
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sensor_model.mosaicking import channel_index
+from sensor_model.mosaicking import bilinear, channel_index, malvar, menon
 from sensor_model.params import Cfa, Sensor, require
 
 if TYPE_CHECKING:
@@ -120,23 +119,18 @@ def interpolate(mosaic: NDArray, cfa: Cfa, demosaic: Demosaic) -> NDArray[np.flo
         h, w = (size - size % 2 for size in mosaic.shape)
         cells = mosaic[:h, :w].reshape(h // 2, 2, w // 2, 2).transpose(0, 2, 1, 3).reshape(h // 2, w // 2, 4)
         return np.stack([cells[..., [i for i, letter in enumerate(cfa) if letter == c]].mean(-1) for c in "RGB"], -1)
-    with warnings.catch_warnings():
-        # colour-demosaicing 0.2.7 imports scipy.ndimage under a name that scipy 2 will drop
-        warnings.simplefilter("ignore", DeprecationWarning)
-        import colour_demosaicing as library
-    functions = {
-        "menon": library.demosaicing_CFA_Bayer_Menon2007,
-        "malvar": library.demosaicing_CFA_Bayer_Malvar2004,
-        "bilinear": library.demosaicing_CFA_Bayer_bilinear,
-    }
-    # Mirrored about its border pixels a mosaic keeps its pattern; the library's own borders mix the colours up
+    functions = {"menon": menon, "malvar": malvar, "bilinear": bilinear}
+    # Mirrored about its border pixels a mosaic keeps its pattern; what the three do at borders mixes the colours up
     padded = np.pad(mosaic, BORDER, mode="reflect")
     return functions[demosaic](padded, cfa)[BORDER:-BORDER, BORDER:-BORDER]
 
 
 def through_jpeg(srgb8: NDArray[np.uint8], quality: int) -> NDArray[np.uint8]:
     """An 8-bit picture after JPEG compression, [h, w] or [h, w, 3]."""
-    import cv2  # slow to import and rarely needed
+    try:
+        import cv2  # slow to import and rarely needed
+    except ImportError as error:  # the camera alone is installed
+        raise ImportError("jpeg_quality needs OpenCV: pip install opencv-python-headless") from error
 
     require(1 <= quality <= 100, "jpeg_quality", "in 1..100", quality)
     swapped = srgb8[..., ::-1] if srgb8.ndim == 3 else srgb8  # OpenCV's channels run blue, green, red

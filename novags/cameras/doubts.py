@@ -1,7 +1,7 @@
 """Doubts about cameras before hours are spent on them: which stand apart, and whether there is enough to go by.
 
-A wrong camera spoils all views, and a fit takes long to show that. The bounds were set so that of the photographs of
-`docs/own-photographs.md` the good ones raise no doubt.
+A wrong camera spoils all views, and a fit takes long to show that. The bounds were set so that of the photographs that
+they were measured on the good ones raise no doubt.
 """
 
 from __future__ import annotations

@@ -14,16 +14,16 @@ def dataset(
     workers: int | None = None, cluster: Cluster = CLUSTER, dry_run: bool = False,
     retry_failed: bool = False, overwrite: bool = False, wait: bool = False,
 ) -> None:  # fmt: skip
-    """Make a synthetic data set: scenes, rigs, cameras and light levels from one file; see docs/datasets.md.
+    """Make a synthetic data set: scenes, rigs, cameras and light levels from one file.
 
     Its cost is shown first. Finished work is kept: the same command again does only the rest.
 
     Args:
-        file: A study file without methods, with a table [dataset].
+        file: A study file without methods, with a table [dataset]; `novags help studies` shows one.
         out: Folder of the data set; tables and logs of the work are in its folder `making`.
         store: Folder of all sets and captures, shared with studies; `store` beside `out` if not given. Where both lie
             on one disk, the data set links to its files. With --engine ray a folder that all nodes see; no URL.
-        engine: Where the work is done: on this machine, or on a Ray cluster that sees the store (docs/clusters.md).
+        engine: Where the work is done: on this machine, or on a Ray cluster that sees the store.
         workers: Processes at a time on this machine; as many as there are cores, or captures, if not given.
         cluster: Of --engine ray.
         dry_run: Only show the captures, the splits, and their cost: time, memory, disk. Nothing is written.

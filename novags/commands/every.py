@@ -12,7 +12,7 @@ VARIABLE = "NOVAGS_VERIFY"  # as `ledger.hashes` reads it, without whose imports
 HELP = (
     f"Every command takes {LINKS} FOLDER: links in the folders that it reads may lead there; others are refused. And "
     f"{VERIFY}: every file is read to compare it with its record, even where size and times are those of before. And "
-    f"{PLUGIN} FILE: a file of Python with methods, enhancers, cameras, scenes or metrics of yours (docs/plugins.md)."
+    f"{PLUGIN} FILE: a file of Python with methods, enhancers, cameras, scenes or metrics of yours: `novags new`."
 )
 
 

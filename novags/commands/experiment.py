@@ -78,7 +78,7 @@ def run(
         electrons: Mean signal of the green channel over the set, electrons per pixel and exposure.
         budget: Time that everything may take, 120s, 5min, 1h: iterations, Gaussians, denoiser steps, samples and size
             are chosen to lose least against the preset, except the settings given here. The expected loss is said
-            before; see docs/accuracy-and-time.md.
+            before, from curves that `novags pareto` measures.
         curves: With a budget: folder of the curves of `novags pareto METHOD`; if not given, the curves of this machine
             in out/pareto, for other methods the curves that came with novags.
         out: Folder of the experiment; if not given, out/PRESET, with scene, electrons and budget where they are given.
@@ -104,7 +104,7 @@ def run(
             stop of its own, which sees no truth: the length that shows their dark pictures best.
         seed: Of noise and training.
         device: Where training runs; auto takes a GPU if there is one that can be used.
-        engine: Where the work is done: on this machine, or on a Ray cluster (docs/clusters.md).
+        engine: Where the work is done: on this machine, or on a Ray cluster.
         workers: Methods at a time, each in a process of its own, among which all cores are divided; if not given, one
             after another with all cores.
         cluster: Of --engine ray.

@@ -22,15 +22,16 @@ def doctor() -> None:
         raise SystemExit(1)
 
 
-def list_(what: Annotated[Listed, tyro.conf.Positional] = "all") -> None:
+def list_(what: Annotated[Listed, tyro.conf.Positional] = "all", *, json: bool = False) -> None:
     """List scenes, sensors, methods and variants, light levels, presets, sources of cameras, enhancers and metrics.
 
     Args:
         what: One of these lists, or all.
+        json: As JSON, {LIST: {NAME: TEXT}}.
     """
     from novags.commands.answers.catalogue import listing
 
-    say(listing(what))
+    say(listing(what, json))
 
 
 def help_(topic: Annotated[str | None, tyro.conf.Positional] = None) -> None:

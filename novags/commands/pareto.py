@@ -16,7 +16,7 @@ def pareto(
     what: Name, *, out: Path, store: str | None = None, knobs: tuple[str, ...] = (), quick: bool = False,
     repeats: int | None = None, overwrite: bool = False, wait: bool = False, dry_run: bool = False,
 ) -> None:  # fmt: skip
-    """Measure the cost of accuracy in time: every knob's error against its seconds, see docs/accuracy-and-time.md.
+    """Measure the cost of accuracy in time: every knob's error against its seconds.
 
     It is a study whose runs are measurements, one at a time with the whole machine. Each goes to the store at once: the
     same command again makes only missing ones.

@@ -22,7 +22,7 @@ def import_(
         folder: Dark photographs with cameras: a nerfstudio, instant-ngp or NeRF-synthetic folder (transforms*.json), a
             COLMAP folder (sparse/0, images) or an LLFF folder (poses_bounds.npy, images) with 8-bit or 16-bit pictures
             or camera raw files; raw files of the pictures in raw/. Or a scene of a published data set
-            (docs/real-data.md), whose lit pictures are found too.
+            (--dataset), whose lit pictures are found too.
         out: Folder of the capture.
         lit: Folder of the same views in good light: pictures of the same names, or as many in the same order.
         clean: Folder of long exposures of the same views in the same light: the noise-free exposures.

@@ -23,23 +23,23 @@ def study(
     workers: int | None = None, cluster: Cluster = CLUSTER, dry_run: bool = False, nodes: tuple[int, ...] = (),
     data: Path | None = None, retry_failed: bool = False, overwrite: bool = False, wait: bool = False,
 ) -> None:  # fmt: skip
-    """Run a grid of scenes, cameras, light levels, methods and seeds from one file; see docs/studies.md.
+    """Run a grid of scenes, cameras, light levels, methods and seeds from one file.
 
     Stages that runs share are done once. Finished work is kept: the same command again does only the rest. A run that
     fails becomes a row with its reason, and the rest goes on.
 
     Args:
-        file: The study, a TOML file.
+        file: The study, a TOML file: `novags help studies` says what it holds, `novags new study NAME` writes one.
         out: Folder of its tables and logs.
         store: Folder of all sets, captures and runs, which studies share; `store` beside `out` if not given. With
             --engine ray a folder that all nodes see, or a URL for fsspec.
-        engine: Where the work is done: on this machine, or on a Ray cluster (docs/clusters.md).
+        engine: Where the work is done: on this machine, or on a Ray cluster.
         workers: Processes at a time on this machine; all cores are divided among them. As many as there are cores, or
             runs, if not given.
         cluster: Of --engine ray.
         dry_run: Only show the runs, and their cost: time, memory, disk. Nothing is written.
         nodes: With --dry-run: how long it would take on so many machines like this one; several numbers.
-        data: Folder below which the published data sets are whose scenes the file names (docs/real-data.md).
+        data: Folder below which the published data sets are whose scenes the file names; see `novags import`.
         retry_failed: Try again the runs that failed before.
         overwrite: Replace tables of another study.
         wait: If another process is writing to `out`, wait until it is done instead of refusing.

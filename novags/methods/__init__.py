@@ -3,10 +3,9 @@
 from collections import ChainMap
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from difflib import get_close_matches
 
 from novags.methods.variant import Method, Variant, spelled
-from sensor_model.files.reading import brief
+from sensor_model.files.reading import brief, meant
 from sensor_model.files.registry import Registry
 
 METHODS: Registry[Method] = Registry(
@@ -94,8 +93,7 @@ def chosen(name: str, more: Mapping[str, Variant] | None = None) -> Variant:
         variant = replace(variant, title=f"{variant.method} with {spelled(variant.settings)}")
     if variant.method not in METHODS:
         known = (*METHODS, *variants)
-        near = get_close_matches(variant.method, known, 1)
-        hint = f"did you mean {near[0]!r}? " if near else ""
+        hint = meant(variant.method, known)
         raise ValueError(f"unknown method {brief(repr(variant.method), 100)}; {hint}available: {', '.join(known)}")
     return variant
 

@@ -10,7 +10,7 @@ PICTURE = 12.0  # bytes of a pixel of a picture in float32, red, green and blue
 
 @dataclass(frozen=True, kw_only=True)
 class Memory:
-    """Figures of a method, as `scripts/bench_memory.py` measures them on captures of several sizes.
+    """Figures of a method, measured on captures of several sizes.
 
     Attributes:
         fixed: Bytes whatever the capture, libraries included.

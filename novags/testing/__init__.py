@@ -1,7 +1,7 @@
 """Dark captures of known scenes, and assertions with known truth, for tests of anybody's reconstructor.
 
-A test module or the topmost conftest.py says `pytest_plugins = ["novags.testing"]`; then `dark_capture` is a fixture.
-docs/testing-your-reconstructor.md shows a whole test.
+A test module or the topmost conftest.py says `pytest_plugins = ["novags.testing"]`; then `dark_capture` is a fixture:
+`dark = dark_capture("cornell", 20)` has `dark.train` to reconstruct from and `dark.test` for `assert_scores`.
 
 PYTEST_DONT_REWRITE: a test module may import this before pytest does, which would be a warning otherwise; the
 assertions bring their own messages.

@@ -34,7 +34,7 @@ def dark_capture(novags_store: Path) -> MakeDarkCapture:
 
     Small by default: nine views of 48 x 48 px, two of them held out. Equal arguments give equal pictures; they are made
     once, and kept in `novags_store` until the code that makes them changes. `settings` are keys of a study file
-    (docs/studies.md): views, width, height, spp, sensor, seed, max_size, **{"render.max_depth": 3}, ...
+    (`novags help studies`): views, width, height, spp, sensor, seed, max_size, **{"render.max_depth": 3}, ...
     `scene` is cornell if not given; it may also be a Mitsuba file or a folder of posed photographs. Of photographs
     without cameras, `photos` among the settings, a set is made first.
     """

@@ -49,7 +49,10 @@ def write_dng(
     Raises:
         ValueError: if the shape or dtype does not fit the sensor, or the time or the white level the file.
     """
-    from pidng.core import RAW2DNG  # slow to import, and needed here only
+    try:
+        from pidng.core import RAW2DNG  # slow to import, and needed here only
+    except ImportError as error:  # the camera alone is installed
+        raise ImportError("a DNG needs the package pidng: pip install pidng") from error
 
     fits = dn.ndim == 2 or (dn.ndim == 3 and dn.shape[2] == 3 and sensor.cfa is None)
     require(fits, "dn", "[h, w], or [h, w, 3] without colour filter array", dn.shape)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from difflib import get_close_matches
 
 WORDS: dict[type[Exception], str] = {
     RecursionError: "is nested too deeply",
@@ -38,6 +39,12 @@ def some(names: Sequence[str], most: int = 3) -> str:
     """The first `most` names of a list for a message: one line, for any names."""
     shown = [brief(name if name.isprintable() else repr(name), 200) for name in names[:most]]
     return ", ".join([*shown, "..."] if len(names) > most else shown)
+
+
+def meant(name: str, known: Iterable[str]) -> str:
+    """What a message says of the nearest of the known names, before it lists them all; nothing if none is near."""
+    near = get_close_matches(name, list(known), 1)
+    return f"did you mean {near[0]!r}? " if near else ""
 
 
 @contextmanager

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 # noise, are blurred: of `cornell` at 8 samples the squared error then grows to 2 to 6 times the one of the noisy view.
 MOST = 2.0
 PACKAGE = "mitsuba_oidn"
-HOW_TO_GET = "install the extra: scripts/setup denoise, or pip install 'novags[denoise]'"
+HOW_TO_GET = "pip install 'novags[denoise]'"
 
 
 def missing() -> str | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from sensor_model.files.reading import brief
+from sensor_model.files.reading import brief, meant
 from sensor_model.files.registry import Registry
 from simscenes.rigs import Rig
 from simscenes.scenes.scene import Scene
@@ -43,7 +43,8 @@ def split_name(name: str) -> tuple[str, int]:
     scene, _, seed = name.partition(":")
     if scene not in SCENES:
         raise ValueError(
-            f"no scene {brief(repr(name), 100)} in the catalogue{_what_it_is(name)}; available: {sorted(SCENES)}. "
+            f"no scene {brief(repr(name), 100)} in the catalogue{_what_it_is(name)}; "
+            f"{meant(name.partition(':')[0], SCENES)}available: {sorted(SCENES)}. "
             "scene files end in .xml, .gltf or .glb"
         )
     if seed and not (seed.isdecimal() and len(seed) <= DIGITS):

@@ -1,7 +1,5 @@
-"""What the planner knows about Mitsuba's plugins; it simulates unknown ones fully.
-
-`tests/plugins` holds a scene for each of these and compares its plan with everything on: docs/what-mitsuba-plugins.md.
-"""
+"""What the planner knows about Mitsuba's plugins; it simulates unknown ones fully."""
+# tests/plugins holds a scene for each of these and compares its plan with everything on: docs/what-mitsuba-plugins.md.
 
 from __future__ import annotations
 

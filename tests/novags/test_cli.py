@@ -243,7 +243,7 @@ def test_doctor_says_whether_fits_run_on_the_gpu(gsplat: str | None, monkeypatch
     machine = doctor.hardware() | {"gpu": "some card"}
     monkeypatch.setattr(doctor, "hardware", lambda: machine)
     findings = {finding.name: finding for finding in doctor.examine()}
-    said = "fits run on it (--device cpu: not)" if gsplat else "fits run on the processor until scripts/setup cuda"
+    said = "fits run on it (--device cpu: not)" if gsplat else "fits run on the processor until pip install"
     assert findings["CUDA"].detail.startswith(f"some card; {said}")
     assert findings["CUDA"].state == findings["gsplat"].state == ("ok" if gsplat else "missing")
     assert "VGGT" not in findings  # nothing here uses it
@@ -318,7 +318,7 @@ def test_ctrl_c_while_a_library_loads_is_an_interruption(
 ) -> None:
     """Rationale: pycolmap makes "Cannot import the C++ backend" of it, which was to be reported with a traceback."""
 
-    def load(what: str) -> str:
+    def load(*_: object) -> str:
         try:
             try:
                 raise KeyboardInterrupt
@@ -344,7 +344,7 @@ def test_ctrl_c_while_numpy_loads_is_said_without_it(
 ) -> None:
     """Rationale: numpy, half loaded, ended the command with a thousand lines of its recursion and the exit code 1."""
 
-    def load(what: str) -> str:
+    def load(*_: object) -> str:
         monkeypatch.setitem(sys.modules, "sensor_model.files.reading", None)  # importing that fails from here on
         raise KeyboardInterrupt
 

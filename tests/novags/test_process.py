@@ -11,7 +11,7 @@ import sys
 sys.modules["matplotlib"] = None  # as where it is not installed
 from novags.process import settle
 settle()
-import colour, colour_demosaicing
+import colour
 import novags.testbed.report.look.pictures, simscenes.scenes.indoors, simscenes.scenes.printed.pages
 """
 

@@ -1,6 +1,7 @@
 """Kernels are compiled once for a user, with a word about it before a first fit."""
 
 from pathlib import Path
+from threading import Event
 
 import pytest
 
@@ -26,6 +27,22 @@ def test_kernels_are_compiled_once_and_the_user_is_told_how_long_it_takes(part: 
     assert part == ["compiled"]
     assert "do nothing, about 7 s, once on this machine" in said[0]
     assert len(said) == 2
+
+
+def test_a_long_compilation_shows_signs_of_life(part: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    alive, said = Event(), list[str]()
+
+    def say(text: str) -> None:
+        said.append(text)
+        if text.startswith("still compiling: "):
+            alive.set()
+
+    monkeypatch.setattr(warm, "BEAT", 0.01)
+    long = warm.KernelPart("take long", lambda: part.append(str(alive.wait(60))), "novags.warm:PLACE", 7)
+    monkeypatch.setitem(warm.PARTS, "nothing", long)
+    warm.compile_ahead("nothing", say)
+    assert part == ["True"]
+    assert said[-1].startswith("compiled the kernels")
 
 
 def test_kernels_that_failed_are_compiled_again(part: list[str], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,5 +1,6 @@
 """Development: levels, white balance, demosaicing, curves, and the three outputs of one exposure."""
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -59,6 +60,24 @@ def test_a_smooth_scene_survives_mosaic_and_demosaic(cfa, demosaic):
     step = 500 / sensor.capacity_e / 60
     assert error[2:-2, 2:-2].max() < (0.5 if demosaic == "menon" else 0.02) * step
     assert error.max() < 3 * step
+
+
+@pytest.mark.parametrize("cfa", CFAS)
+def test_demosaicing_has_the_bits_of_the_package_that_it_is_after(cfa):
+    with warnings.catch_warnings():
+        # colour-demosaicing 0.2.7 imports scipy.ndimage under a name that scipy 2 will drop
+        warnings.simplefilter("ignore", DeprecationWarning)
+        import colour_demosaicing as library
+    theirs = {
+        "menon": library.demosaicing_CFA_Bayer_Menon2007, "malvar": library.demosaicing_CFA_Bayer_Malvar2004,
+        "bilinear": library.demosaicing_CFA_Bayer_bilinear,
+    }  # fmt: skip
+    for height, width in ((40, 61), (17, 18)):
+        frame = np.random.default_rng(height).random((height, width))
+        surrounded = np.pad(frame, isp.BORDER, mode="reflect")
+        inside = np.s_[isp.BORDER : -isp.BORDER, isp.BORDER : -isp.BORDER]
+        for name, function in theirs.items():
+            np.testing.assert_array_equal(isp.interpolate(frame, cfa, name), function(surrounded, cfa)[inside])
 
 
 @pytest.mark.parametrize("cfa", CFAS)

@@ -12,6 +12,8 @@ from novags.testbed.console.provenance import hardware, package_version
 from novags.testbed.metrics import METRICS
 from sensor_model.files.python import INTERPRETER, python
 
+GSPLAT = "pip install 'novags[cuda]'"
+
 
 @dataclass(frozen=True)
 class Finding:
@@ -74,7 +76,7 @@ def _cuda(gpu: str | None) -> Finding:
         return Finding("CUDA", "missing", "no GPU that torch can use; everything runs on the processor")
     renders = "Mitsuba renders on it if cuda_ad works below"
     if package_version("gsplat") is None:
-        return Finding("CUDA", "missing", f"{gpu}; fits run on the processor until scripts/setup cuda, {renders}")
+        return Finding("CUDA", "missing", f"{gpu}; fits run on the processor until {GSPLAT}, {renders}")
     return Finding("CUDA", "ok", f"{gpu}; fits run on it (--device cpu: not), {renders}")
 
 
@@ -82,7 +84,7 @@ def _gsplat(gpu: str | None) -> Finding:
     use = "for fits on the GPU" if gpu else "for fits on a GPU, which this machine does not have"
     if (version := package_version("gsplat")) is not None:
         return Finding("gsplat", "ok", f"{version}; {use}")
-    return Finding("gsplat", "missing", f"{use}: scripts/setup cuda")
+    return Finding("gsplat", "missing", f"{use}: {GSPLAT}")
 
 
 def _mitsuba() -> Iterator[Finding]:

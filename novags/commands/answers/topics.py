@@ -1,7 +1,8 @@
 """Help pages about terms, as text files beside this one."""
 
-from difflib import get_close_matches
 from importlib.resources import files
+
+from sensor_model.files.reading import meant
 
 
 def topics() -> tuple[str, ...]:
@@ -16,9 +17,7 @@ def page(topic: str) -> str:
         ValueError: If there is no such page.
     """
     if topic not in topics():
-        near = get_close_matches(topic, topics(), 1)
-        hint = f"did you mean {near[0]!r}? " if near else ""
-        raise ValueError(f"no page about {topic!r}; {hint}available: {', '.join(topics())}")
+        raise ValueError(f"no page about {topic!r}; {meant(topic, topics())}available: {', '.join(topics())}")
     return (_folder() / f"{topic}.txt").read_text(encoding="utf-8").rstrip()
 
 

@@ -65,7 +65,7 @@ def _read(path: Path) -> tuple[NetworkConfig, dict[str, torch.Tensor]]:
 
 def _facts(path: Path) -> dict[str, Any]:
     if not path.is_file():
-        raise ValueError(f"there are no weights at {path}: install the package whole, or run scripts/train_denoiser.py")
+        raise ValueError(f"there are no weights at {path}: install the package anew, as a whole")
     try:
         with safe_open(admitted(path), "pt") as file:
             stated = file.metadata() or {}

@@ -12,7 +12,7 @@ from novags.methods.enhancers.choice import Enhancement
 from novags.methods.enhancers.enhancer import Enhancer
 from novags.methods.inputs import LacksInput, Pictures
 from novags.settings import changed
-from sensor_model.files.reading import brief
+from sensor_model.files.reading import brief, meant
 from sensor_model.files.registry import Registry
 
 ENHANCERS: Registry[Enhancer] = Registry(
@@ -97,7 +97,8 @@ def recorded(enhancement: dict[str, Any]) -> tuple[Enhancer, Any]:
     """
     name = enhancement["enhancer"]
     if name not in ENHANCERS:
-        raise ValueError(f"unknown enhancer {brief(repr(name), 100)}; available: {', '.join(ENHANCERS)}")
+        hint = meant(str(name), ENHANCERS)
+        raise ValueError(f"unknown enhancer {brief(repr(name), 100)}; {hint}available: {', '.join(ENHANCERS)}")
     config = ENHANCERS[name].config()
     if config is None:
         return ENHANCERS[name], None

@@ -10,7 +10,7 @@
 Cui et al. 2024, "Aleth-NeRF: illumination adaptive NeRF with concealing field assumption", and its published code's
 constants for low light, the same for all scenes (ETA 0.45, CONTRAST 12). No statistic of a well-lit picture is used.
 
-Differences from the original: The field of docs/fields.md starts dense at the first points, and by its first O as dark
+Differences from the original: The field of novags.fields starts dense at the first points, and by its first O as dark
 as the pictures. Steps and rays per step are the same for all fields here, instead of 50,000 of 4,096 rays. Pixels come
 in squares of four, because structure compares neighbours, each pair once; the original compares means of four rays in a
 row of its batch with the means before and after, each pair twice. Its rays are drawn at random from one picture, so

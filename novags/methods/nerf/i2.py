@@ -21,7 +21,7 @@ and such runs are marked as seeing truth.
 Further differences from the original: t counts the sample's own interval, there only earlier intervals. The variation
 is the mean over a ray's samples, there their sum, some 95 times as much. The overlap is there the mean of s max(density
 - 0.2, 0), with the density held fixed. The bright channel is there the dark picture's, an estimate of t at the surface,
-which is drawn to it. S3IM has the windows of our SSIM, there 4 x 4 pixels side by side. The field of docs/fields.md
+which is drawn to it. S3IM has the windows of our SSIM, there 4 x 4 pixels side by side. The field of novags.fields
 starts dense at the first points, in a medium that already makes renders as dark as the pictures. The loss of depth
 (weight 0.1) is left out, because it needs a network for monocular depth, which is not here. The square of S3IM is made
 of rays at random, as there, of 64 x 64 pixels or fewer, and is one, there ten. The mapped y is cut to 0..1, there it is

@@ -13,7 +13,7 @@ The terms of the enhancement are added once the colours are learnt, and take R a
 "Lighting up NeRF via unsupervised decomposition and enhancement", and the forms and constants of its published code. It
 uses no statistic of a well-lit picture.
 
-Differences from the original: The field of docs/fields.md starts dense at the first points and as dark as the pictures,
+Differences from the original: The field of novags.fields starts dense at the first points and as dark as the pictures,
 with its steps and rays. The enhancement comes in for the last quarter of the steps, not for the last 5,000 of 105,000,
 which is a twentieth: of as few steps as ours, at rates that have fallen, that would be too short to move a and g.
 Pixels come in squares of four. Exponents, sigmoids and weights are as published. The mean of g^2 is over rays here,

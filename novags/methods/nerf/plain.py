@@ -1,7 +1,7 @@
 """Enhance every view, then fit a radiance field to the result, noise and all: `naive` with the other engine.
 
-Mildenhall et al. 2020 (NeRF) with the encoding of Mueller et al. 2022 (Instant-NGP); docs/fields.md lists the
-differences.
+Mildenhall et al. 2020 (NeRF) with the encoding of Mueller et al. 2022 (Instant-NGP); novags.fields differs
+from it.
 """
 
 from pathlib import Path

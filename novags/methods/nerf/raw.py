@@ -5,7 +5,7 @@
 of Mildenhall et al. 2022, section 4.1; sg holds its argument fixed. Colours are exponentials of the field's outputs.
 Data are never clipped at black. Behind a colour filter array only measured channels are compared.
 
-Differences from the original: The field of docs/fields.md starts dense at the first points, with its steps and rays per
+Differences from the original: The field of novags.fields starts dense at the first points, with its steps and rays per
 step, and its colours begin at the mean of the data. The data of all views come in one exposure, so that the fit
 corrects none. EPSILON is in units of white as there, though pictures here may be darker than its own.
 """

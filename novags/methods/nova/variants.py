@@ -20,7 +20,7 @@ FAST = Variant(
 TUNED = Variant(
     name="nova-tuned",
     method="nova",
-    title="NOVA-GS with the best settings that were measured (docs/choices.md)",
+    title="NOVA-GS with the best settings that were measured",
     settings={
         "denoiser.noisy_share": 0.7,
         "denoiser.blind_spots.laplacian_share": 0.0,

@@ -1,4 +1,4 @@
-"""The method of docs/nova-plus.md as a row of `METHODS`."""
+"""The method nova-plus as a row of `METHODS`."""
 
 from dataclasses import replace
 
@@ -30,6 +30,6 @@ METHOD = Method(
     parts=parts,
     least={"likelihood": 666, "structure": 666},
     knobs=KNOBS,
-    source="docs/nova-plus.md",
+    source="raw data weighed by their known noise, and 3DGS-MCMC (Kheradmand et al. 2024)",
     memory=memory,
 )

@@ -21,7 +21,7 @@ def chosen_device(name: str, console: Console) -> torch.device:
         if gpu:
             console.warn(f"device: {torch.cuda.get_device_name(0)} (cuda); choose another one with --device cpu")
         elif torch.cuda.is_available():
-            console.warn("device: cpu; the GPU needs gsplat: scripts/setup cuda")
+            console.warn("device: cpu; the GPU needs gsplat: pip install 'novags[cuda]'")
         return torch.device("cuda" if gpu else "cpu")
     if name == "cuda" and not torch.cuda.is_available():
         raise ValueError("device cuda: torch finds no GPU that it can use on this machine; use --device cpu or auto")

@@ -4,8 +4,9 @@ A function or a constant runs where code that runs names it, a method where code
 of a module where that module is imported. So the reached code is found from the sources alone: the names in a
 definition, the module's imports under these names, and definitions named as text, "package.module:NAME", as in tables.
 The rows of a `Registry` are not followed. An object that comes from elsewhere has a class that somebody
-names: `tests/end_to_end/ledger/test_what_runs.py` watches small stages and finds nothing that runs and is not reached.
+names.
 """
+# tests/end_to_end/ledger/test_what_runs.py watches small stages and finds nothing that runs and is not reached.
 
 import sys
 from collections.abc import Iterable

@@ -10,7 +10,7 @@ from novags.testbed.metrics.picture import Image
 
 SMALLEST = 31  # px; of a shorter side the second pooling of AlexNet leaves nothing
 HOW_TO_GET = (
-    "install the extra (scripts/setup lpips) and, once with network access, run: "
+    "pip install 'novags[lpips]' and, once with network access, run: "
     "python -c \"import lpips; lpips.LPIPS(net='alex')\""
 )
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 PACKAGE = "stlpips_pytorch"
 WEIGHTS = Path("weights") / "vST0.0" / "alex_shift_tolerant.pth"
 SMALLEST = 21  # px; of a shorter side the third blur has nothing to reflect
-HOW_TO_GET = "install the extra: scripts/setup st-lpips, or pip install 'novags[st-lpips]'"
+HOW_TO_GET = "pip install 'novags[st-lpips]'"
 SHIFT, SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)  # of the input, -1..1, by channel
 # Convolutions by their names among the weights, with their padding; those after which a maximum and a blur follow.
 LAYERS, PADDING, POOLED = ("slice1.0", "slice2.5", "slice3.9", "slice4.11", "slice5.13"), (2, 2, 1, 1, 1), (0, 1)

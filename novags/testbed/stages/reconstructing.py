@@ -230,7 +230,7 @@ def reconstruct_views(
     for part, steps in (parts or {}).items():
         if 0 < steps < method.least.get(part, 0):
             console.note(f"reconstruct {variant.name}: {steps} steps of {part} are too few to work, of at least "
-                         f"{method.least[part]} (docs/accuracy-and-time.md): it loses by that alone")  # fmt: skip
+                         f"{method.least[part]}: it loses by that alone")  # fmt: skip
     if prepared.device.type == "cpu" and (kernels := kernels_of(config.config)) is not None:
         compile_ahead(kernels, console.note)
     with (

@@ -76,8 +76,8 @@ def guarded(names: frozenset[str]) -> Iterator[None]:
     finally:
         server.serve = serve  # type: ignore[misc]
     if not started:
-        raise OSError("this version of viser cannot be kept from answering pages of other sites: scripts/setup view "
-                      "installs one that can")  # fmt: skip
+        raise OSError("this version of viser cannot be kept from answering pages of other sites: "
+                      "pip install 'novags[view]' installs one that can")  # fmt: skip
 
 
 def _answer(names: frozenset[str], answer: Handler | None, connection: Any, request: Any) -> Any:

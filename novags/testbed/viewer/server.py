@@ -14,7 +14,7 @@ from novags.testbed.viewer.session import Session
 from novags.testbed.viewer.shown import Shown
 from sensor_model.files.reading import brief
 
-NEEDS = "novags view needs the package viser, which is not installed: scripts/setup view"
+NEEDS = "novags view needs the package viser, which is not installed: pip install 'novags[view]'"
 
 
 def check_installed() -> None:

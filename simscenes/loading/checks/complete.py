@@ -2,8 +2,8 @@
 
 Plugins that fail with any input are refused too.
 
-Every plugin was tried bare, in each place where one may stand (`tests/fuzz/readers/scenes.py`); plugins that refuse it
-with a reason of their own are not listed here.
+Every plugin was tried bare, in each place where one may stand; plugins that refuse it with a reason of their own
+are not listed here.
 """
 
 from __future__ import annotations

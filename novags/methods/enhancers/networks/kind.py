@@ -66,7 +66,7 @@ class Kind:
     renamed: Callable[[Mapping[str, Tensor]], Mapping[str, Tensor]] = lambda tensors: tensors
     finish: Callable[[Tensor, Any, Any], tuple[Tensor, Any]] = lambda bright, config, params: (bright, None)
     rehearsal: Rehearsal | None = None
-    where: str = "the authors' file, or one that scripts/train_enhancer.py has made"
+    where: str = "the authors' file, or another of the same network, trained here"
 
     def load(self, config: Any) -> nn.Module:
         """The network with the weights that the configuration names, ready to enhance.

@@ -121,6 +121,6 @@ def typical(params: Sequence[np.ndarray]) -> np.ndarray:
 
 MBLLEN = Kind(
     name="MBLLEN", make=lambda config: Mbllen(), run=run, renamed=from_keras, finish=adjust,
-    where="one of the authors' .h5 files, or a file that scripts/train_enhancer.py has made",
+    where="one of the authors' .h5 files, or a file of the same network, trained here",
 )  # fmt: skip
 enhance = MBLLEN.enhance

@@ -145,6 +145,6 @@ def renamed(tensors: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
 URETINEX = Kind(
     name="URetinex-Net", make=lambda config: URetinex(), renamed=renamed,
     run=lambda network, picture, config: network(picture, config.ratio),
-    where="the authors' L_adjust.pth, which holds all, or a file that scripts/train_enhancer.py has made",
+    where="the authors' L_adjust.pth, which holds all, or a file of the same network, trained here",
 )  # fmt: skip
 enhance = URETINEX.enhance

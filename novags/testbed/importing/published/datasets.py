@@ -1,4 +1,4 @@
-"""The published data sets, one row each, and which of them a folder is of. Facts about each: docs/real-data.md.
+"""The published data sets, one row each, and which of them a folder is of.
 
 A scene is a folder. LOM is known by the content of its scenes. The others look like many folders, so that a folder
 above has to bear the name of the data set, in upper or lower case.

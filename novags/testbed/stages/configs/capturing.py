@@ -11,7 +11,7 @@ from novags.testbed.ledger.contents import folder_digest
 from novags.testbed.stages.layouts import check_layouts
 from sensor_model.files.camera_file import CameraFile, read_camera, split_iso
 from sensor_model.files.dng import TIMES
-from sensor_model.files.reading import brief
+from sensor_model.files.reading import brief, meant
 from sensor_model.frame import own
 from sensor_model.isp import DEMOSAIC, Demosaic
 from sensor_model.params import Exposure, Sensor
@@ -192,6 +192,7 @@ def camera_file(name: str) -> CameraFile:
         return CameraFile(sensor=PRESETS[name])
     if not split_iso(name)[0].endswith(".toml"):
         raise ValueError(
-            f"unknown sensor {brief(repr(name), 100)}; give a camera's .toml file, or one of {', '.join(PRESETS)}"
+            f"unknown sensor {brief(repr(name), 100)}; {meant(name, PRESETS)}give a camera's .toml file, or one of "
+            f"{', '.join(PRESETS)}"
         )
     return read_camera(name)

@@ -1,16 +1,14 @@
 """Light levels shaped after the data sets of the NOVA-GS paper: a camera, its light, and which pictures it delivers.
 
 The paper says in words and histograms how dark and how noisy its data sets are, and which have 16 bits; it names
-neither cameras nor electrons. `source` is its words, the rest is chosen to fit them; docs/light-levels.md measures the
-result.
+neither cameras nor electrons. `source` is its words, the rest is chosen to fit them.
 """
 
 from dataclasses import dataclass
-from difflib import get_close_matches
 from typing import Any
 
 from novags.methods.inputs import Pictures
-from sensor_model.files.reading import brief
+from sensor_model.files.reading import brief, meant
 from sensor_model.presets import PRESETS
 
 CHIPS = "-3chip"  # ends the name of a camera, and of a level, without a colour filter array
@@ -83,7 +81,6 @@ def level_named(name: str) -> LightLevel:
         ValueError: If no level has this name.
     """
     if name not in LEVELS:
-        near = get_close_matches(name, LEVELS, 1)
-        hint = f"did you mean {near[0]!r}? " if near else ""
+        hint = meant(name, LEVELS)
         raise ValueError(f"unknown level {brief(repr(name), 60)}; {hint}available: {', '.join(LEVELS)}")
     return LEVELS[name]

@@ -43,8 +43,8 @@ class Remote:
 
             fs, root = url_to_fs(self.url)
         except (ImportError, ValueError) as error:  # of a package for that protocol, too
-            raise ValueError(f"store {self.url}: {error}: scripts/setup cluster installs fsspec; further packages "
-                             "serve s3:// (s3fs), gs:// (gcsfs), ...") from error  # fmt: skip
+            raise ValueError(f"store {self.url}: {error}: pip install 'novags[cluster]' brings fsspec; further "
+                             "packages serve s3:// (s3fs), gs:// (gcsfs), ...") from error  # fmt: skip
         return fs, root.rstrip("/")
 
     def names(self, kind: str) -> set[str]:

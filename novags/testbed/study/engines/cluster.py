@@ -288,7 +288,7 @@ def connected(address: str | None) -> Iterator[Any]:
     try:
         import ray
     except ImportError as error:
-        raise ValueError(f"engine ray needs the package ray ({error}): scripts/setup cluster") from error
+        raise ValueError(f"engine ray needs the package ray ({error}): pip install 'novags[cluster]'") from error
     handlers = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
     try:
         with _elsewhere():

@@ -77,4 +77,4 @@ def test_small_pictures_and_missing_weights_are_said_with_what_to_do(monkeypatch
     monkeypatch.setattr(module, "PACKAGE", "no_such_package")
     why = missing()
     assert why is not None
-    assert "no_such_package is not installed; install the extra: scripts/setup st-lpips" in why
+    assert "no_such_package is not installed; pip install 'novags[st-lpips]'" in why

@@ -41,7 +41,7 @@ def test_without_viser_one_line_says_how_to_install_it(
     assert call("view", str(runs["first"])) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("novags: error: novags view needs the package viser, which is not installed: ")
-    assert "scripts/setup view" in line
+    assert "pip install 'novags[view]'" in line
 
 
 @pytest.mark.parametrize(

@@ -172,7 +172,7 @@ def test_an_entry_that_lacks_any_of_its_inputs_is_not_known(
 
 
 def test_a_url_that_nothing_serves_is_one_line() -> None:
-    with pytest.raises(ValueError, match="store nothing://x: .*scripts/setup cluster installs fsspec"):
+    with pytest.raises(ValueError, match=r"store nothing://x: .*pip install 'novags\[cluster\]' brings fsspec"):
         Remote("nothing://x")
 
 

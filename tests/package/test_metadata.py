@@ -1,6 +1,7 @@
 """Claims about what a stranger finds around the code: the package's metadata, its files, and the pages of its host."""
 
 import re
+from datetime import date
 from pathlib import Path
 
 import pytest
@@ -8,7 +9,7 @@ import yaml
 
 from sensor_model.files.toml_file import read_toml
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 TABLE = read_toml(ROOT / "pyproject.toml")
 PROJECT = TABLE["project"]
 
@@ -35,6 +36,13 @@ def test_the_citation_is_of_this_version_and_of_the_paper() -> None:
     assert cited["version"] == PROJECT["version"]
     assert cited["license"] == PROJECT["license"]
     assert cited["references"][0]["title"].startswith("NOVA-GS")
+
+
+def test_the_changelog_goes_back_day_by_day_to_this_version() -> None:
+    heads = re.findall(r"^## (.*)$", read("CHANGELOG.md"), re.MULTILINE)
+    assert heads[-1].startswith(f"{PROJECT['version']}, ")
+    days = [date.fromisoformat(day) for day in (*heads[:-1], heads[-1].partition(", ")[2])]
+    assert days == sorted(set(days), reverse=True)
 
 
 def test_forms_and_workflows_can_be_read_and_run_what_is_here() -> None:

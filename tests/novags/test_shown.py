@@ -1,0 +1,99 @@
+"""What a newcomer's shell shows: presets in `--help`, names by the tab key, the nearest word, lists for programs."""
+
+import json
+import shutil
+import subprocess
+from collections.abc import Callable
+
+import pytest
+
+from novags.cli import COMMANDS
+from novags.commands.answers.catalogue import LISTS, listing
+from novags.testbed.study.cells.presets import EXPERIMENTS
+
+Call = Callable[..., int]
+
+
+def helped(call: Call, capsys: pytest.CaptureFixture[str], *words: str) -> str:
+    assert call(*words, "--help") == 0
+    return " ".join(capsys.readouterr().out.replace("│", " ").split())
+
+
+@pytest.mark.parametrize("preset", [None, *EXPERIMENTS])
+def test_help_shows_the_values_of_the_preset_that_is_named(
+    call: Call, capsys: pytest.CaptureFixture[str], preset: str | None
+) -> None:
+    said = helped(call, capsys, "run", *([f"--preset={preset}"] if preset else []))
+    expected = EXPERIMENTS[preset or "demo"]
+    assert f"--views INT Number of views. ({expected.render.n_views} by the preset)" in said
+    assert f"({' '.join(expected.methods)} by the preset)" in said
+    fit = expected.reconstruct(expected.methods[0]).config.fit
+    assert f"--iterations INT Of the fit. ({fit.iterations} by the preset)" in said
+
+
+@pytest.mark.parametrize("command", sorted(COMMANDS))
+def test_help_never_says_that_an_option_is_none(call: Call, capsys: pytest.CaptureFixture[str], command: str) -> None:
+    assert "default: None" not in helped(call, capsys, command)
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="bash completes")
+@pytest.mark.parametrize(
+    ("typed", "expected"),
+    [
+        ("recon", "reconstruct"), ("run --meth", "--methods"), ("run --methods naive nova-f", "nova-fast"),
+        ("run --preset paper-", "paper-160"), ("run --sensor imx900-l", "imx900-lcg"), ("run --level llr", "llrs"),
+        ("run --scene corn", "cornell"), ("render corn", "cornell"), ("reconstruct cap --method nova-p", "nova-plus"),
+        ("reconstruct cap --cameras vggs", "vggsfm"), ("list enh", "enhancers"), ("new eff", "effect"),
+        ("help elec", "electrons"), ("pareto spl", "splats"),
+    ],
+)  # fmt: skip
+def test_the_tab_key_completes_commands_options_and_names(completion: str, typed: str, expected: str) -> None:
+    words = ["novags", *typed.split()]
+    program = (
+        f'{completion}\nCOMP_WORDS=({" ".join(words)}); COMP_CWORD={len(words) - 1}; COMP_LINE="{" ".join(words)}"\n'
+        'COMP_POINT=${#COMP_LINE}; _novags; printf "%s\\n" "${COMPREPLY[@]}"'
+    )
+    done = subprocess.run(["bash", "-c", program], capture_output=True, text=True, check=False)
+    assert expected in done.stdout.split(), done.stderr
+
+
+@pytest.fixture(scope="module")
+def completion() -> str:
+    import sys
+
+    command = [sys.executable, "-m", "novags", "--tyro-print-completion", "bash"]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "near"),
+    [
+        (("runn",), "did you mean 'run'?"), (("list", "metods"), "did you mean 'methods'?"),
+        (("run", "--preset", "demmo"), "did you mean 'demo'?"), (("new", "methd", "x"), "did you mean 'method'?"),
+        (("run", "--scene", "corneli"), "did you mean 'cornell'?"), (("render", "hal:3", "--out", "x"), "'hall'?"),
+        (("run", "--sensor", "imx90-hcg"), "did you mean 'imx900-hcg'?"), (("run", "--level", "lmo"), "'lom'?"),
+        (("run", "--device", "cpuu"), "--device must be one of auto, cpu, cuda, got 'cpuu'; did you mean 'cpu'?"),
+    ],
+)  # fmt: skip
+def test_the_nearest_word_is_said_in_one_line(
+    call: Call, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], near: str
+) -> None:
+    assert call(*words) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("novags: error: ")
+    assert near in line
+
+
+def test_an_unknown_option_is_said_with_the_near_one(call: Call, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call("run", "--metods", "naive") == 2
+    assert "Perhaps you meant: --methods" in " ".join(capsys.readouterr().err.replace("│", " ").split())
+
+
+@pytest.mark.parametrize("what", ["all", *LISTS])
+def test_a_program_reads_the_lists_as_json(call: Call, capsys: pytest.CaptureFixture[str], what: str) -> None:
+    assert call("list", what, "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert list(found) == (list(LISTS) if what == "all" else [what])
+    shown = " ".join(listing(what).split())
+    assert all(name in shown and text.split()[0] in shown for rows in found.values() for name, text in rows.items())
+    assert not any("FILE" in name or ":" in name for rows in found.values() for name in rows)  # each can be given
