@@ -1,4 +1,4 @@
-"""`scripts/licences.py`: what novags needs can be given away with it."""
+"""`scripts/files/licences.py`: what novags needs can be given away with it."""
 
 import email
 import sys
@@ -12,7 +12,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 @pytest.fixture
 def licences(monkeypatch: pytest.MonkeyPatch):  # type: ignore[no-untyped-def]
-    monkeypatch.syspath_prepend(str(ROOT / "scripts"))
+    monkeypatch.syspath_prepend(str(ROOT / "scripts" / "files"))
     import licences
 
     yield licences

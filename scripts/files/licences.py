@@ -1,6 +1,6 @@
 """List the licence of every package that novags installs, with what these need themselves.
 
-    python scripts/licences.py [EXTRA ...]
+    python scripts/files/licences.py [EXTRA ...]
 
 Read from the packages that are installed here. Exit code 1 if one of them names no licence, or one of the GPL or AGPL
 alone, which novags could not be given away with.
