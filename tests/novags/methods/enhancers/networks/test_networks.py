@@ -98,7 +98,7 @@ def test_a_loss_that_is_not_finite_stops_with_a_line():
 def test_networks_that_need_pairs_say_where_weights_come_from(name):
     config = ENHANCERS[name].config()
     assert parts(fitted(config)) == {"fit": 2}
-    with pytest.raises(LacksInput, match="set enhance.weights to .*scripts/train_enhancer.py"):
+    with pytest.raises(LacksInput, match="set enhance.weights to .* trained here"):
         train(problem(), fitted(config))
 
 
