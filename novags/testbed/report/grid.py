@@ -176,7 +176,7 @@ def _overall(lines: Sequence[Line], main: str, competes: Mapping[str, bool]) -> 
             continue
         best = max(known, key=lambda name: sum(known[name].values()) / len(known[name]))
         apart = {name: found for name in known if name != best and (found := difference(known[best], known[name]))}
-        listed = [f"{_apart(found)} from {name}" for name, found in apart.items()]
+        listed = [f"{_apart(found)} above {name}" for name, found in apart.items()]
         where = next(iter(apart.values())).where
         said.append(f" Over {where}{f' ({place})' if place else ''}, {best} is {join(listed)}.")
     return "".join(said)

@@ -50,7 +50,11 @@ def ranking(material: Material) -> dict[str, Any]:
         return _of_one(material, material.one)
     if (found := pivot(material)) is None:
         return {}
-    return {"table": pivot_table(found, material), "chart": _chart_of_many(found, material), "said": _said(found)}
+    return {
+        "table": pivot_table(found, material),
+        "chart": _chart_of_many(found, material),
+        "said": _said(found, material),
+    }
 
 
 def _of_one(material: Material, place: Place) -> dict[str, Any]:
@@ -65,7 +69,7 @@ def _of_one(material: Material, place: Place) -> dict[str, Any]:
     table = ranked_table(kind, place, commands, more, count=1, name="ranking")
     known = {base: Estimate(0.0, None, 0.0, "", 1, 1, 1), **over}  # the base is 0 dB from itself
     points = {name: (seconds[name], each) for name, each in known.items() if name in seconds}
-    said = "± is the standard error of the difference. Equal places (=): no difference is seen."
+    said = "± is the standard error of the difference. Equal places (=): no difference is seen." + _bounds(place.rows)
     chart = over_time([(f"dB over {base}", points)], place.rows)[0] if over else ""
     return {"table": table, "chart": chart, "said": said if over else ""}
 
@@ -155,10 +159,15 @@ def _cell(values: Values | None, ranks: Mapping[str, int], name: str, digits: in
     return num(known.value, said, rank=rank, best=rank == 1 and max(ranks.values()) > 1)
 
 
-def _said(found: Pivot) -> str:
+def _said(found: Pivot, material: Material) -> str:
     over = f"mean over {len(found.scenes)} scenes" if len(found.scenes) > 1 else "mean over seeds and views"
-    return (f"{found.heading}, {over}; ± is its standard error. Methods that are not seen to differ, pair by pair, "
-            "share a place and its colour.")  # fmt: skip
+    said = (f"{found.heading}, {over}; ± is its standard error, of one scene over its seeds and views. A method stands "
+            "behind each one that is seen to be better; equal places share a colour.")  # fmt: skip
+    return said + _bounds(material.looks)
+
+
+def _bounds(rows: Mapping[str, Row]) -> str:
+    return "" if all(row.competes for row in rows.values()) else " † sees the truth: a bound and no rival."
 
 
 def _chart_of_many(found: Pivot, material: Material) -> str:

@@ -178,6 +178,12 @@ def test_the_ranking_of_one_place_has_gains_with_errors_and_their_chart(monkeypa
     assert {name: (own[0].y, own[0].low, own[0].high) for name, own in points.items()} == {
         "a": (0.0, 0.0, 0.0), "b": (1.5, 1.25, 1.75), "oracle": (8.0, 7.5, 8.5)
     }  # fmt: skip
+    assert found["said"].endswith("† sees the truth: a bound and no rival.")
+    place.rows = {name: row for name, row in looks.items() if row.competes}
+    del gains["oracle"]
+    left = {name: SECONDS[name] for name in place.rows}
+    monkeypatch.setattr(module, "seconds_of", lambda material: left)
+    assert "†" not in ranking(SimpleNamespace(one=place, made={}, commands={}))["said"]  # type: ignore[arg-type]
     monkeypatch.setattr(module, "leading", lambda place: None)
     assert ranking(SimpleNamespace(one=place)) == {}  # type: ignore[arg-type]
 
