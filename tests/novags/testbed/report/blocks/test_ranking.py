@@ -136,6 +136,12 @@ def test_the_chart_is_over_the_light_where_that_varies_and_over_the_time_elsewhe
     }  # fmt: skip
     (point,) = time.series["a"]
     assert (point.low, point.high) == (pytest.approx(22 - 2 / 3**0.5), pytest.approx(22 + 2 / 3**0.5))
+    for each in (time, light):  # every bar of every method, and room for names
+        points = [point for own in each.series.values() for point in own]
+        assert each.y.low <= min(point.low for point in points)
+        assert each.y.high >= max(point.high for point in points)
+        assert 10**each.x.low <= 0.8 * min(point.x for point in points)
+        assert 10**each.x.high >= 1.25 * max(point.x for point in points)
     assert light.x.label == "electrons per green pixel"
     assert tuple(light.x.ticks) == (5.0, 50.0)
     assert [(point.x, round(point.y, 9)) for point in light.series["b"]] == [(5.0, 23.0), (50.0, 28.0)]

@@ -11,7 +11,7 @@ from novags.methods.problem import encode
 from novags.testbed.folders.exposures import Exposures
 from novags.testbed.report.look import pictures as module
 from novags.testbed.report.look.album import Album
-from novags.testbed.report.look.pictures import _add_geometry, _add_renders, _Tiles
+from novags.testbed.report.look.pictures import Tile, ViewTiles, _add_geometry, _add_renders, _Tiles
 
 SHAPE = (4, 5)
 LIGHT = {name: np.random.default_rng(k).uniform(0.05, 0.2, (*SHAPE, 3)) for k, name in enumerate("ab")}
@@ -68,3 +68,15 @@ def test_depths_of_all_runs_are_in_the_unit_of_the_truth(tiles: Any) -> None:
     np.testing.assert_allclose(tiles.images["depth-a"], tiles.images["depth-b"], atol=1e-6)
     near, far = np.percentile(z, (1, 99))
     assert tiles.notes["depth-a"] == f"depth, {near:.3g} to {far:.3g}"
+
+
+def test_the_pictures_of_every_method_stand_in_its_row_and_all_others_have_a_row() -> None:
+    keys = ("dark input-enhanced render-a render-b error-b depth-a normal-b truth-clean depth-true normal-true truth-lit "
+            "linear-b lit-b").split()  # fmt: skip
+    tiles = tuple(Tile(key, key, "", "", None) for key in keys)  # type: ignore[arg-type]
+    rows = {row: [tile and tile.key for tile in own] for row, own in ViewTiles("0000", True, 4, 3, tiles).rows}
+    assert rows["a"] == ["render-a", None, "depth-a", None]
+    assert rows["b"] == ["render-b", "error-b", None, "normal-b"]
+    assert rows["Truth"] == ["truth-clean", None, "depth-true", "normal-true"]
+    assert rows["Other truths"] == ["truth-lit"]
+    assert sorted(key for own in rows.values() for key in own if key) == sorted(keys)
