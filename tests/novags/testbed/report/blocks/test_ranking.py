@@ -136,15 +136,23 @@ def test_the_chart_is_over_the_light_where_that_varies_and_over_the_time_elsewhe
     }  # fmt: skip
     (point,) = time.series["a"]
     assert (point.low, point.high) == (pytest.approx(22 - 2 / 3**0.5), pytest.approx(22 + 2 / 3**0.5))
-    for each in (time, light):  # every bar of every method, and room for names
-        points = [point for own in each.series.values() for point in own]
-        assert each.y.low <= min(point.low for point in points)
-        assert each.y.high >= max(point.high for point in points)
-        assert 10**each.x.low <= 0.8 * min(point.x for point in points)
-        assert 10**each.x.high >= 1.25 * max(point.x for point in points)
     assert light.x.label == "electrons per green pixel"
     assert tuple(light.x.ticks) == (5.0, 50.0)
     assert [(point.x, round(point.y, 9)) for point in light.series["b"]] == [(5.0, 23.0), (50.0, 28.0)]
+
+
+def test_the_axes_of_a_chart_hold_the_bars_of_every_method_and_leave_room_for_names(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    drawn = charts(monkeypatch)
+    points = {name: (x, Estimate(value, 6.0, 2.0, "views", 1, 1, 3)) for name, x, value in
+              (("a", 10.0, 20.0), ("b", 40.0, 21.0))}  # fmt: skip
+    module.over_time([("dB", points)], material(SCENES).looks)
+    (one,) = drawn
+    assert one.y.low <= 14
+    assert one.y.high >= 27
+    assert 10**one.x.low <= 8
+    assert 10**one.x.high >= 50
 
 
 def test_every_place_of_a_study_has_a_chart_and_all_share_their_axes(monkeypatch: pytest.MonkeyPatch) -> None:
