@@ -3,7 +3,7 @@
 A mosaic has any size, odd ones too; row and column 0 are the pattern's. Back: bilinear; Malvar, He, Cutler 2004; Menon,
 Andriani, Calvagno 2007. Their arithmetic is that of colour-demosaicing 0.2.7 (Copyright 2015 Colour Developers,
 BSD-3-Clause, see LICENSE_COLOUR_DEMOSAICING), which needs all of colour-science; a test compares them bit for bit.
-Their borders are the caller's, who gives surroundings and cuts them off.
+The caller adds a border of surrounding pixels and cuts it off afterwards.
 """
 
 from __future__ import annotations

@@ -162,9 +162,8 @@ def _follow(
     # Mitsuba drops the light of a path that has passed through everything it met and left a scene without a sky.
     counts = np.array(real)
     booked = (np.array(account).reshape(longest, 3, lanes) * counts).reshape(longest, 3, count, 2, spp // 2)
-    return booked.mean(-1, dtype=np.float64).transpose(0, 3, 2, 1), float(
-        np.array(chain, dtype=np.float64)[counts].sum()
-    )
+    passed = float(np.array(chain, dtype=np.float64)[counts].sum())
+    return booked.mean(-1, dtype=np.float64).transpose(0, 3, 2, 1), passed
 
 
 def _rays(mi: Any, sensors: list[Any], sampler: Any, pixel: Any, view: Any) -> tuple[Any, Any]:
