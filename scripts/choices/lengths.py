@@ -6,23 +6,25 @@
 Differences are paired by scene, seed and view, and carry the standard error over scenes (`novags.testbed.metrics.
 differences`); a star marks those whose 95 % interval leaves 0 out. Runs that are not finished are counted and left out.
 `--stops` is the same study with `hold_out`: its fits say after which length a method would stop itself, and the score
-there is of the fit with all views. The page has the tables between <!-- table: NAME --> and <!-- /table -->, NAME being
-the folder's, and NAME-along, NAME-scenes, NAME-stops.
+there is of the fit with all views. `--kept` is a CSV of single scores: fits of the folder are added to it, and the
+tables are of all its fits, so that a study of many hours can be made in parts. The page has the tables between
+<!-- table: NAME --> and <!-- /table -->, NAME being the folder's, and NAME-along, NAME-scenes, NAME-stops.
 """
 
 import argparse
+import csv
 import json
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import fmean
-from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parent))  # so that it is found where this file is loaded by its path
 
 from settle import write_table
 
+from novags.testbed.ledger.contents import digest
 from novags.testbed.metrics.differences import Estimate, Values, difference, estimate
 from novags.testbed.stages.scores.comparing import SHARES, enhancement_of, values_of
 from novags.testbed.study.results import read_scores
@@ -36,6 +38,10 @@ MORE = (
 )
 
 
+KEPT = (*SHARES.values(), *((kind, score) for kind, score, *_ in MORE))  # what is read of a run's scores
+COLUMNS = ("method", "scene", "seed", "enhancement", "stop", "iterations", "view", *(".".join(one) for one in KEPT))
+
+
 @dataclass(frozen=True)
 class Fit:
     """A finished run of a study: its scores by length, and where it would stop itself if it held views out."""
@@ -43,13 +49,13 @@ class Fit:
     method: str
     scene: str
     seed: str
-    enhancement: str  # what its noise-free reference is enhanced by
-    scores: Mapping[int | None, Mapping[str, Any]]  # by iterations; None: after all of them
+    enhancement: str  # digest of what its noise-free reference is enhanced by
     stop: int | None
+    scores: Mapping[int | None, Mapping[tuple[str, str], Values]]  # by iterations (None: after all of them) and score
 
     def values(self, kind: str, score: str, at: int | None) -> Values:
         """A score at one length, by scene, seed and view; {} where it was not scored."""
-        return values_of(self.scores[at], kind, score, self.scene, self.seed) if at in self.scores else {}
+        return self.scores.get(at, {}).get((kind, score), {})
 
 
 def fits_of(folder: Path) -> tuple[list[Fit], int]:
@@ -60,11 +66,43 @@ def fits_of(folder: Path) -> tuple[list[Fit], int]:
         if row["state"] == "done":
             run = folder / row["folder"]
             whole, record = read_scores(run), json.loads((run / "run.json").read_text(encoding="utf-8"))
-            scores = {None: whole} | {each["iterations"]: each for each in whole.get("along") or ()}
+            by_length = {None: whole} | {each["iterations"]: each for each in whole.get("along") or ()}
             stop = (whole.get("held_out") or {}).get("stop")
-            place = (row["method"], str(row["scene"]), str(row["seed"]))
-            found.append(Fit(*place, enhancement_of(record), scores, stop))
+            method, scene, seed = row["method"], str(row["scene"]), str(row["seed"])
+            scores = {at: {one: values_of(each, *one, scene, seed) for one in KEPT} for at, each in by_length.items()}
+            found.append(Fit(method, scene, seed, digest(enhancement_of(record))[:8], stop, scores))
     return found, len(rows)
+
+
+def read_kept(path: Path) -> list[Fit]:
+    """The fits of a CSV that `keep` wrote; none where there is no such file."""
+    if not path.exists():
+        return []
+    fits = dict[tuple[str, ...], dict[int | None, dict[tuple[str, str], dict[tuple[str, str, str], float]]]]()
+    with path.open(encoding="utf-8", newline="") as file:
+        for row in csv.DictReader(file):
+            fit = fits.setdefault(tuple(row[name] for name in COLUMNS[:5]), {})
+            at = fit.setdefault(int(row["iterations"]) if row["iterations"] else None, {one: {} for one in KEPT})
+            for one in KEPT:
+                if text := row[".".join(one)]:
+                    at[one][row["scene"], row["seed"], row["view"]] = float(text)
+    return [
+        Fit(method, scene, seed, enhancement, int(stop) if stop else None, scores)
+        for (method, scene, seed, enhancement, stop), scores in fits.items()
+    ]
+
+
+def keep(path: Path, fits: list[Fit]) -> None:
+    """Write the scores of fits by length and view."""
+    with path.open("w", encoding="utf-8", newline="") as file:
+        rows = csv.writer(file, lineterminator="\n")
+        rows.writerow(COLUMNS)
+        for fit in fits:
+            for at, scores in fit.scores.items():
+                for key in dict.fromkeys(key for values in scores.values() for key in values):
+                    values = [scores[one].get(key) for one in KEPT]
+                    cells = ("" if value is None else f"{value:.6g}" for value in values)
+                    rows.writerow([fit.method, fit.scene, fit.seed, fit.enhancement, fit.stop, at, key[2], *cells])
 
 
 def together(fits: list[Fit], method: str, kind: str, score: str, at: int | None = None, scene: str = "") -> Values:
@@ -180,13 +218,19 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--stops", type=Path, help="the same study with hold_out")
+    parser.add_argument("--kept", type=Path, help="CSV of single scores, to which the folder's are added")
     parser.add_argument("--than", default="naive", help="the method that the others are compared with")
     parser.add_argument("--page", type=Path, required=True)
     options = parser.parse_args()
     fits, runs = fits_of(options.folder)
+    if options.kept:
+        places = {(fit.method, fit.scene, fit.seed): fit for fit in [*read_kept(options.kept), *fits]}
+        fits = list(places.values())
+        keep(options.kept, fits)
     holding = fits_of(options.stops)[0] if options.stops else []
     name, than = options.folder.name, options.than
-    write_table(options.page, name, f"{len(fits)} of {runs} runs.\n\n" + at_the_end(fits, than))
+    made = f"{len(fits)} runs" if options.kept else f"{len(fits)} of {runs} runs"
+    write_table(options.page, name, f"{made}.\n\n" + at_the_end(fits, than))
     write_table(options.page, f"{name}-along", along(fits, than))
     write_table(options.page, f"{name}-scenes", by_scene(fits, than))
     write_table(options.page, f"{name}-stops", three_lengths(fits, holding))
