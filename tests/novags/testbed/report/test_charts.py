@@ -121,7 +121,7 @@ def test_long_names_in_a_legend_keep_both_ends() -> None:
 
 def test_each_name_stands_beside_the_last_point_of_its_series_and_on_no_other() -> None:
     """Places that names avoid are the points of all series, of those drawn later, too."""
-    ends = {"first": (2.0, 5.0), "second": (3.2, 5.0), "third": (3.2, 5.5), "fourth": (8.0, 1.0)}
+    ends = {"first": (2.0, 5.0), "second": (2.6, 5.0), "third": (2.6, 5.8), "fourth": (8.0, 1.0)}
     series = [Series(name, "m0", [Point(1.0, 9.0), Point(*end)]) for name, end in ends.items()]
     svg = drawn(*series, named=True)
     found = {text: (float(x), float(y)) for x, y, text in
