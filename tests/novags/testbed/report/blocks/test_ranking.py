@@ -4,6 +4,7 @@ import json
 import os
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -58,6 +59,17 @@ def test_of_one_condition_the_mean_over_the_scenes_stands_before_each_of_them() 
         ["2", "a", "22.00 ± 1.15", "20.00", "22.00", "24.00"],
     ]
     assert [row[1] for row in classes(table)] == [" ", "best", 'data-rank="2"']
+
+
+def test_where_less_is_better_the_least_stands_first_and_is_best() -> None:
+    found = pivot(material(SCENES))
+    assert found is not None
+    ranked = {"a": 1, "b": 2}
+    table = pivot_table(replace(found, more=False, ranked=dict.fromkeys(found.values, ranked)), material(SCENES))
+    assert [row[1] for row in texts(table)] == ["a", "b", "oracle†"]
+    assert [row[1:] for row in classes(table)] == [
+        ["best", *["best"] * 3], ['data-rank="2"', *['data-rank="2"'] * 3], [" "] * 4
+    ]  # fmt: skip
 
 
 def test_methods_that_are_not_seen_to_differ_share_place_and_colour_and_none_is_best() -> None:
