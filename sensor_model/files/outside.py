@@ -81,8 +81,8 @@ class Outside:
             why = f"{type(error).__name__}: {brief(error, 200)}"
             raise BrokenRow(f"{self.module}:{self.name} of {self.origin} cannot be used ({why})") from error
         if kind is not None and not isinstance(row, kind):
-            raise BrokenRow(f"{self.module}:{self.name} of {self.origin} must be a {kind.__name__}, got a "
-                            f"{type(row).__name__}")  # fmt: skip
+            raise BrokenRow(f"{self.module}:{self.name} of {self.origin} must be of class "
+                            f"{kind.__name__}, got class {type(row).__name__}")  # fmt: skip
         return row
 
 

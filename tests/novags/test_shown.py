@@ -4,11 +4,13 @@ import json
 import shutil
 import subprocess
 from collections.abc import Callable
+from typing import Annotated, Literal, get_args
 
 import pytest
 
 from novags.cli import COMMANDS
-from novags.commands.answers.catalogue import LISTS, listing
+from novags.commands.answers.catalogue import LISTS, listing, table
+from novags.commands.answers.shown import _metavar, annotations, completing, with_first_words
 from novags.testbed.study.cells.presets import EXPERIMENTS
 
 Call = Callable[..., int]
@@ -97,3 +99,40 @@ def test_a_program_reads_the_lists_as_json(call: Call, capsys: pytest.CaptureFix
     shown = " ".join(listing(what).split())
     assert all(name in shown and text.split()[0] in shown for rows in found.values() for name, text in rows.items())
     assert not any("FILE" in name or ":" in name for rows in found.values() for name in rows)  # each can be given
+
+
+def test_the_texts_of_a_list_stand_in_one_column_beside_the_longest_name() -> None:
+    assert table({"a": "short", "longest": "text", "mid": "other"}).splitlines() == [
+        "  a        short", "  longest  text", "  mid      other"
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("place", [0, 1, 2])
+def test_a_completion_is_asked_for_at_any_place_of_a_line(place: int) -> None:
+    words = ["run", "--quiet"]
+    assert not completing(words)
+    assert completing([*words[:place], "--tyro-write-completion", *words[place:]])
+
+
+def test_an_option_of_several_types_shows_all_but_none() -> None:
+    assert _metavar(int | Literal["all", "few"] | None) == "INT|{all,few}"
+    assert _metavar(Annotated[str | None, "help"]) == "STR"
+    assert _metavar(tuple[str, ...] | None) == "[STR ...]"
+
+
+def test_names_are_completed_for_every_option_that_takes_them_and_it_may_still_be_absent() -> None:
+    words = ["--tyro-print-completion", "bash"]
+    shown = annotations(COMMANDS["run"], words)
+    for option, names in (("scene", "scenes"), ("sensor", "sensors"), ("level", "levels")):
+        choice, absent = get_args(shown[option])
+        assert (set(get_args(choice)), absent) == (set(LISTS[names]()), type(None))
+    methods, absent = get_args(shown["methods"])
+    assert (set(get_args(get_args(methods)[0])), absent) == (set(LISTS["methods"]()), type(None))
+    assert shown["views"] == COMMANDS["run"].__annotations__["views"]
+
+
+def test_every_command_whose_first_word_is_a_name_has_a_case() -> None:
+    said = with_first_words(COMMANDS, ["--tyro-print-completion", "bash"])
+    cases = dict(line.strip().partition(") names=")[::2] for line in said.splitlines() if ") names=" in line)
+    assert set(cases) >= {"help", "list", "new", "pareto", "render"}
+    assert all(name in cases["render"] for name in LISTS["scenes"]())

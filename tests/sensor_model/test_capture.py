@@ -1,9 +1,12 @@
 """The whole chain: moments, reproducibility, and inputs that must be refused."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from sensor_model import PRESETS, Banding, Exposure, Sensor, expose, mosaic
+from sensor_model.capture import expose_burst, mean_of
 
 EXPOSURE = Exposure(time=0.02)
 
@@ -162,3 +165,28 @@ def test_codes_are_black_level_plus_gain_times_electrons(gain, backend):
     assert electrons.mean() == pytest.approx(400, abs=5 * np.sqrt(400 / light.size))
     assert electrons.var() == pytest.approx(400, rel=5 * np.sqrt(2 / light.size))
     np.testing.assert_allclose(frame.clean_dn, 64 + 400 * gain, rtol=1e-6)
+
+
+def test_every_frame_of_a_burst_is_in_its_mean_and_a_pixel_that_any_of_them_cut_off_is_saturated():
+    sensor = PRESETS["a7s2-iso6400"]
+    light = np.full((3, 16, 16), 40.0)
+    for k, row in enumerate((2, 7, 12)):
+        light[k, row] = 2 * sensor.capacity_e / sensor.eta
+    burst = expose_burst(light, sensor, EXPOSURE, frames=3, seed=1, view=0)
+    mean = mean_of(burst)
+    assert np.flatnonzero(mean.saturated.all(1)).tolist() == [2, 7, 12]
+    assert mean.saturated.sum() == 3 * 16
+    assert mean.frames == 3
+    assert np.array_equal(mean.dn, np.rint(np.mean([frame.dn for frame in burst], axis=0)))
+    alone = mean_of(burst[:1])
+    assert alone is burst[0]
+
+
+@pytest.mark.parametrize("times", [4.0, 0.25])
+def test_the_truth_of_a_view_that_was_exposed_for_another_time_is_the_common_exposure(times):
+    """Dark charge grows with the time, so it is not enough to divide the light."""
+    sensor = Sensor(gain=2.0, eta=0.5, mu_e_sat=1e4, black_level=200, bits=14, dark_current=900.0)
+    light, common = np.linspace(5.0, 400.0, 64).reshape(8, 8), Exposure(time=0.1)
+    taken = expose(times * light, sensor, replace(common, time=times * common.time), seed=0, view=0)
+    alone = expose(light, sensor, common, seed=0, view=0)
+    np.testing.assert_allclose(replace(taken, times=times).clean_dn, alone.clean_dn, rtol=1e-6)

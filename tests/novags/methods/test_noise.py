@@ -1,6 +1,8 @@
 """Claims about the variance of a datum: from the camera, and from the pictures alone."""
 
 import math
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +20,7 @@ from sensor_model import (
     photons_for_electrons,
     raw_noise,
 )
+from sensor_model.params import DualGain
 
 EXPOSURE = Exposure(time=1 / 30)
 MATRIX = [[1.6, -0.5, -0.1], [-0.2, 1.4, -0.2], [0.0, -0.6, 1.6]]
@@ -98,3 +101,19 @@ def test_small_pictures_are_refused() -> None:
     with pytest.raises(ValueError, match=r"\[C, H >= 16, W >= 16, 3\], got \[1, 8, 20, 3\]"):
         estimate_noise(torch.zeros(1, 8, 20, 3))
     assert math.isfinite(float(estimate_noise(torch.zeros(1, 16, 16, 3)).linear16.curve.offset[0]))
+
+
+@pytest.mark.parametrize("more", [{}, {"dual_gain": DualGain(threshold=1500.0, sigma_d=30.0, ratio=8)},
+                                  {"nonlinearity": 0.05, "dark_current": 50.0}])  # fmt: skip
+@pytest.mark.parametrize("matrix", [None, MATRIX])
+@pytest.mark.parametrize("times", [4.0, 0.25])
+def test_the_noise_of_a_view_exposed_so_many_times_as_long_is_divided_by_that_with_its_picture(
+    more: dict[str, Any], matrix: list[list[float]] | None, times: float
+) -> None:
+    sensor = replace(PRESETS["a7s2-iso6400-3chip"], **more)
+    noise = camera_noise(sensor, EXPOSURE, demosaic="menon", color_matrix=matrix)
+    taken = torch.tensor(np.random.default_rng(0).uniform(0.0, 0.9, (40, 3)))  # as of its own exposure
+    evened = noise.at(times)
+    assert evened.raw is None
+    assert evened.linear16(taken / times).numpy() == pytest.approx(noise.linear16(taken).numpy() / times**2, rel=1e-9)
+    assert noise.at(1) is noise

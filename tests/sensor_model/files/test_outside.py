@@ -93,7 +93,7 @@ def test_a_row_of_another_kind_or_that_is_not_there_is_named_and_left_out(monkey
     assert list(rows.values()) == [[0], sys.path]
     with pytest.raises(BrokenRow, match=r"^sys:no.such of their-package 1.2 cannot be used \(AttributeError"):
         rows["none"]
-    with pytest.raises(ValueError, match=r"sys:platform of their-package 1.2 must be a list, got a str$"):
+    with pytest.raises(ValueError, match=r"sys:platform of their-package 1.2 must be of class list, got class str$"):
         rows["kind"]
     assert rows.get("none") is None  # as a row that is not there, for who can do without
     assert "none" in rows

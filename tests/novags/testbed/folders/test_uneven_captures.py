@@ -25,6 +25,7 @@ from novags.testbed.stages.configs.rendering import RenderConfig
 from novags.testbed.stages.reconstructing import prepare, reconstruct_views
 from novags.testbed.stages.scores.noise import exposed_again
 from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
+from sensor_model import plan_effects
 from sensor_model.frame.uneven import EVEN
 from simscenes.sets.pictures.exr import read_exr
 from simscenes.sets.pictures.png import read_png
@@ -89,6 +90,14 @@ def test_white_balance_changes_pictures_and_no_raw_file(folder: Path) -> None:
         seen, other = (read_png(of.path / "images" / f"{of.names[i]}.png") for of in (cast, even))
         assert not np.array_equal(seen, other)
         np.testing.assert_allclose(cast.linear16(i), even.linear16(i), atol=2 / 61439)
+
+
+def test_fixed_patterns_that_one_frame_hides_are_planned_for_a_burst() -> None:
+    light = np.array([1.0, 5.0, 10.0, 20.0, 40.0])
+    for burst, on in ((1, False), (256, True)):
+        config = CaptureConfig(sensor="imx900-hcg", burst=burst)
+        plan = plan_effects(config.camera, config.exposure, light, config.limits(1000))
+        assert plan.is_on("prnu") == on
 
 
 def test_a_burst_is_the_mean_of_frames_of_which_the_first_is_the_view_alone(folder: Path) -> None:

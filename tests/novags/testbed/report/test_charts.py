@@ -119,6 +119,26 @@ def test_long_names_in_a_legend_keep_both_ends() -> None:
     assert shown == list(zip(names, ["nova-fast", "nova-plu…averages", "nova-plu…denoiser"], strict=True))
 
 
+def test_each_name_stands_beside_the_last_point_of_its_series_and_on_no_other() -> None:
+    """Places that names avoid are the points of all series, of those drawn later, too."""
+    ends = {"first": (2.0, 5.0), "second": (2.6, 5.0), "third": (2.6, 5.8), "fourth": (8.0, 1.0)}
+    series = [Series(name, "m0", [Point(1.0, 9.0), Point(*end)]) for name, end in ends.items()]
+    svg = drawn(*series, named=True)
+    found = {text: (float(x), float(y)) for x, y, text in
+             re.findall(r'<text class="label" x="([\d.]+)" y="([\d.]+)">([^<]*)<', svg)}  # fmt: skip
+    assert list(found) == list(ends)
+    chart = Chart("t", LINEAR, LINEAR, ())
+    places = {name: chart.at(*end) for name, end in ends.items()}
+    boxes = {name: (x, x + 6.2 * len(name), y - 9, y) for name, (x, y) in found.items()}
+    for name, (left, right, top, bottom) in boxes.items():
+        x, y = places[name]
+        assert left - 14 < x < right + 14
+        assert top - 14 < y < bottom + 14
+        assert not [other for other, (a, b) in places.items() if left < a < right and top < b < bottom]
+        assert not [other for other, (a, b, c, d) in boxes.items()
+                    if other != name and a < right and left < b and c < bottom and top < d]  # fmt: skip
+
+
 def test_a_file_of_its_own_has_size_and_colours_and_needs_no_page() -> None:
     svg = alone(drawn(Series("n", "m7", [Point(1.0, 2.0)])), {"m7": "#123456"})
     root = ElementTree.fromstring(svg)

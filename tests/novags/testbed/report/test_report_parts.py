@@ -20,6 +20,7 @@ from novags.testbed.folders.capture import Capture, open_capture  # noqa: E402
 from novags.testbed.folders.exposures import exposures_of  # noqa: E402
 from novags.testbed.report.look.pictures import _Tiles  # noqa: E402
 from novags.testbed.report.page import write_report, write_reports  # noqa: E402
+from novags.testbed.report.parts import Strip, Table, TableRow, heads, num, plain  # noqa: E402
 from novags.testbed.report.tables import columns, per_view, ranked, scores_of  # noqa: E402
 from novags.testbed.report.verdict import table_of  # noqa: E402
 from novags.testbed.report.words import duration, join, number, signed, size  # noqa: E402
@@ -222,3 +223,19 @@ def test_words_for_numbers() -> None:
     assert [join(w) for w in (["a"], ["a", "b"], ["a", "b", "c"])] == ["a", "a and b", "a, b and c"]
     assert [number(v) for v in (1.234, None, "inf")] == ["1.23", "unavailable", "inf"]
     assert [signed(v) for v in (1.0, -0.5)] == ["+1.00", "−0.50"]
+
+
+def test_a_table_as_text_leaves_out_columns_that_say_the_same_in_every_row() -> None:
+    rows = [TableRow([name, num(value, 1), num(None, "none"), other])
+            for name, value, other in (("a", 5.0, "x"), ("long", 10.25, "x"), ("mid", 7.0, "y"))]  # fmt: skip
+    table = Table("t", "", heads("Name | #Score [dB] | #LPIPS | Other"), rows)
+    assert table.same == {2: "none"}
+    assert plain(table) == ["Name  Score dB  Other", "a          5.0  x", "long      10.2  x", "mid        7.0  y"]
+    assert Table("t", "", table.columns, rows, foot=rows).same == {}  # the reader changes what it shows
+    assert Table("t", "", table.columns, rows[:1]).same == {}
+    assert Table("t", "", table.columns, rows[:2]).same == {2: "none", 3: "x"}
+
+
+def test_the_grid_of_a_view_leaves_out_every_picture_of_the_strip() -> None:
+    tiles: Any = [SimpleNamespace(key=key) for key in ("dark", "render-naive", "truth-lit")]
+    assert Strip(SimpleNamespace(), tiles).keys == {"dark", "render-naive", "truth-lit"}  # type: ignore[arg-type]

@@ -20,7 +20,7 @@ from novags.testbed.folders.capture import open_capture
 from novags.testbed.folders.set import Source, open_source
 from novags.testbed.stages import capturing, planning
 from novags.testbed.stages.capturing import expose_view
-from novags.testbed.stages.configs.capturing import CaptureConfig
+from novags.testbed.stages.configs.capturing import CaptureConfig, OwnNoiseConfig
 from novags.testbed.stages.planning import PILOT, light_plan, sensor_plan
 from novags.testbed.stages.rendering import render_views
 from sensor_model import PRESETS, Exposure, plan_effects, read_sensor, srgb_to_linear, write_sensor
@@ -366,16 +366,17 @@ def test_the_range_of_the_signal_is_told_from_the_darkest_to_the_brightest(monke
 
 def test_another_seed_takes_other_pictures_and_the_same_seed_the_same(tmp_path: Path) -> None:
     views, codes = photographs(tmp_path / "set", size=(32, 24)), list[bytes]()
-    for k, seed in enumerate((3, 3, 4)):
-        stages.capture(views, tmp_path / f"{k}", CaptureConfig(electrons=20.0, seed=seed), QUIET)
-        capture = open_capture(tmp_path / f"{k}")
-        assert capture.record.simulated is not None
-        assert capture.record.simulated.seed == seed
-        told = list(capture.record.simulated.signal_quantiles_e.values())
+    how: Any = {"electrons": 20.0, "exposure_spread": 1.0}
+    configs = [CaptureConfig(**how, seed=seed) for seed in (3, 3, 4)]
+    for k, config in enumerate([*configs, OwnNoiseConfig(**how, seed=4, drawn=3)]):
+        stages.capture(views, tmp_path / f"{k}", config, QUIET)
+        light: Any = (capture := open_capture(tmp_path / f"{k}")).record.simulated
+        assert light.seed == config.seed
+        told = list(light.signal_quantiles_e.values())
         assert told == sorted(told)
         assert told[0] < told[len(told) // 2] < told[-1]
         codes.append(np.stack([capture.raw(i) for i in range(3)]).tobytes())
-    assert codes[0] == codes[1] != codes[2]
+    assert codes[0] == codes[1] == codes[3] != codes[2]
 
 
 def test_the_plan_is_made_for_the_longest_exposure_of_all_views(

@@ -151,6 +151,15 @@ def test_places_of_one_score_are_drawn_small_and_on_common_axes(
     assert [name for name, *_ in found["key"]] == list(METHODS)
 
 
+def test_a_method_that_the_first_chart_lacks_is_in_the_key_of_all(tmp_path: Path) -> None:
+    some = [row for row in rows() if (row["scene"], row["method"]) != ("one", "b")]
+    material: Any = SimpleNamespace(rows=some, axes=AXES, looks=LOOKS, path=tmp_path / "report.html")
+    found = module.light(material, SimpleNamespace(path=tmp_path / "report.html"))  # type: ignore[arg-type]
+    assert found is not None
+    assert [name for name, *_ in found["key"]] == ["a", "b"]
+    assert [key for _, key, _ in found["key"]] == ["key-a", "key-b"]
+
+
 def test_a_record_has_all_levels_of_a_curve(curves: list[Curve]) -> None:
     found = as_record(curves[0])
     assert [(level["electrons"], level["values"]) for level in found["levels"]] == [

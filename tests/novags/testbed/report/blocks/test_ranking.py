@@ -4,6 +4,7 @@ import json
 import os
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -14,7 +15,6 @@ from novags.testbed.metrics.differences import Estimate
 from novags.testbed.report.blocks import ranking as module
 from novags.testbed.report.blocks.ranking import multiples, pivot, pivot_table, ranking
 from novags.testbed.report.material import Material
-from novags.testbed.report.parts import Table, TableRow, heads, num, plain
 from novags.testbed.report.rows import Row
 
 COLUMN = "enhanced.aligned_psnr"
@@ -61,6 +61,17 @@ def test_of_one_condition_the_mean_over_the_scenes_stands_before_each_of_them() 
     assert [row[1] for row in classes(table)] == [" ", "best", 'data-rank="2"']
 
 
+def test_where_less_is_better_the_least_stands_first_and_is_best() -> None:
+    found = pivot(material(SCENES))
+    assert found is not None
+    ranked = {"a": 1, "b": 2}
+    table = pivot_table(replace(found, more=False, ranked=dict.fromkeys(found.values, ranked)), material(SCENES))
+    assert [row[1] for row in texts(table)] == ["a", "b", "oracle†"]
+    assert [row[1:] for row in classes(table)] == [
+        ["best", *["best"] * 3], ['data-rank="2"', *['data-rank="2"'] * 3], [" "] * 4
+    ]  # fmt: skip
+
+
 def test_methods_that_are_not_seen_to_differ_share_place_and_colour_and_none_is_best() -> None:
     close = SCENES | {("one", 5.0, "b"): 19.0, ("two", 5.0, "b"): 24.0, ("three", 5.0, "b"): 24.5}
     found = pivot(material(close))
@@ -99,10 +110,10 @@ def test_runs_of_one_name_share_a_row_over_captures_and_none_within_one() -> Non
         return SimpleNamespace(run=SimpleNamespace(name=name))
 
     lines: list[Any] = [SimpleNamespace(where=where, method=f"{folder}/naive") for where, folder in
-                        (("dark", "one"), ("bright", "two"), ("bright", "three"))]  # fmt: skip
+                        (("dark", "one"), ("bright", "two"), ("bright", "three"), ("dim", "four"))]  # fmt: skip
     page: Any = SimpleNamespace(study=None, one=None, lines=lines, of=lambda line: [made("naive")],
                                 called=lambda each: each.run.name)  # fmt: skip
-    assert [module.method_of(line, page) for line in lines] == ["naive", "two/naive", "three/naive"]
+    assert [module.method_of(line, page) for line in lines] == ["naive", "two/naive", "three/naive", "naive"]
 
 
 def test_scores_that_are_not_finite_draw_no_chart() -> None:
@@ -153,6 +164,18 @@ def test_the_axes_of_a_chart_hold_the_bars_of_every_method_and_leave_room_for_na
     assert one.y.high >= 27
     assert 10**one.x.low <= 8
     assert 10**one.x.high >= 50
+
+
+def test_the_axes_of_a_chart_over_the_light_hold_every_point_and_its_bar(monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn = charts(monkeypatch)
+    gains = {5.0: 0.0, 20.0: -9.0, 50.0: 9.0}
+    ranking(material({(scene, level, name): value + gain for level, gain in gains.items()
+                      for (scene, _, name), value in SCENES.items() if name != "oracle"}))  # fmt: skip
+    (one,) = drawn
+    assert one.y.low < 22 - 9 - 2 / 3**0.5
+    assert one.y.high > 23 + 9 + 1.95 / 3**0.5
+    assert 10**one.x.low < 5
+    assert 10**one.x.high > 50
 
 
 def test_every_place_of_a_study_has_a_chart_and_all_share_their_axes(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -255,12 +278,3 @@ def test_a_study_ends_with_the_ranking_and_the_next_command(
     said = capsys.readouterr()
     assert lines_said(said.out) == RANKED
     assert said.err.splitlines()[-1] == f"next: novags report {out}"
-
-
-def test_a_table_as_text_leaves_out_what_says_the_same_in_every_row() -> None:
-    rows = [TableRow([name, num(value, 1), num(None, "none")]) for name, value in (("a", 5.0), ("long", 10.25))]
-    table = Table("t", "", heads("Name | #Score [dB] | #LPIPS"), rows)
-    assert table.same == {2: "none"}
-    assert plain(table) == ["Name  Score dB", "a          5.0", "long      10.2"]
-    assert Table("t", "", table.columns, rows, foot=rows).same == {}  # the reader changes what it shows
-    assert Table("t", "", table.columns, rows[:1]).same == {}

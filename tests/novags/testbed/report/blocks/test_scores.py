@@ -170,3 +170,27 @@ def test_every_kind_of_scores_that_is_missing_is_said_with_its_reason(monkeypatc
     material: Any = SimpleNamespace(one=place, made={}, commands={})
     found = scores.scores(material, SimpleNamespace(data={}))  # type: ignore[arg-type]
     assert found["unscored"] == ["no clean exposures", "no lit pictures"]
+
+
+def test_every_kind_of_scores_of_a_place_is_a_table_or_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    kinds = {kind: 1 + (kind == "lit") for kind in scores.KINDS}  # methods that have such scores
+
+    def table(kind: str, *rest: Any) -> Any:
+        row = scores.TableRow(["1", scores.TableCell("raw"), scores.num(56.1)])
+        return scores.Table(kind, "", [], [row] * kinds[kind])
+
+    monkeypatch.setattr(scores, "ranked_table", table)
+    monkeypatch.setattr(scores, "columns", lambda kind: [("psnr", kind.upper(), "dB", True)])
+    monkeypatch.setattr(scores, "per_view", lambda metrics, kind: None)
+    metrics: Any = {"recovered": {}, "recovered_lit": {}, "unavailable": {"lit": "no light", "enhanced": "no truth"}}
+    place: Any = SimpleNamespace(
+        metrics=metrics, rows={name: look(name) for name in "ab"}, deltas=lambda kind: ({}, ""), one_reference=True,
+        exposures={}, capture=SimpleNamespace(imported=None), lit=SimpleNamespace(views=SimpleNamespace(kind="gt")),
+    )  # fmt: skip
+    page: Any = SimpleNamespace(data={})
+    found = scores.scores(SimpleNamespace(one=place, made={}, commands={}), page)  # type: ignore[arg-type]
+    assert [kind for kind, shown in found["tables"].items() if shown is not None] == ["lit"]
+    assert [said.split()[1] for said in found["alone"]] == [kind.upper() for kind in kinds if kind != "lit"]
+    assert sorted(found["unscored"]) == ["no light", "no truth"]
+    assert found["methods"] == [("a", "by a"), ("b", "by b")]
+    assert set(page.data["looks"]) == {"a", "b"}
