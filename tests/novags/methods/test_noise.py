@@ -104,7 +104,7 @@ def test_small_pictures_are_refused() -> None:
 
 
 @pytest.mark.parametrize("more", [{}, {"dual_gain": DualGain(threshold=1500.0, sigma_d=30.0, ratio=8)},
-                                  {"nonlinearity": 0.05, "dark_current": 50.0}])  # fmt: skip
+                                  {"nonlinearity": 0.05, "dark_current": 5e4, "prnu": 0.05}])  # fmt: skip
 @pytest.mark.parametrize("matrix", [None, MATRIX])
 @pytest.mark.parametrize("times", [4.0, 0.25])
 def test_the_noise_of_a_view_exposed_so_many_times_as_long_is_divided_by_that_with_its_picture(
