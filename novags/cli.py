@@ -3,13 +3,14 @@
 import dataclasses
 import sys
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import nullcontext
 from functools import wraps
 from inspect import signature
 from typing import Any, Literal, get_args, get_origin
 
 import tyro
 
-from novags.commands.answers.shown import annotations, completing, with_first_words
+from novags.commands.answers.shown import FIRST_WORDS, annotations, completed, completing
 from novags.commands.dataset import dataset
 from novags.commands.every import HELP, without_common
 from novags.commands.experiment import run
@@ -72,12 +73,9 @@ def main() -> None:
                              f"{', '.join(COMMANDS)}")  # fmt: skip
         shown = COMMANDS if completing(words) else words[:1]  # of others nobody asks for names and presets
         commands = {name: _checked(command, words if name in shown else ()) for name, command in COMMANDS.items()}
-        with common, TYPES:
-            try:
-                tyro.extras.subcommand_cli_from_dict(commands, prog="novags", description=DESCRIPTION, args=words)
-            finally:
-                if words[:2] == ["--tyro-print-completion", "bash"]:
-                    print(with_first_words(COMMANDS, words))
+        printed = words[:1] == ["--tyro-print-completion"] and words[-1] in FIRST_WORDS
+        with common, TYPES, completed(COMMANDS, words) if printed else nullcontext():
+            tyro.extras.subcommand_cli_from_dict(commands, prog="novags", description=DESCRIPTION, args=words)
 
 
 @TYPES.primitive_rule

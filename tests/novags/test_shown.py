@@ -3,7 +3,9 @@
 import json
 import shutil
 import subprocess
+import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import Annotated, Literal, get_args
 
 import pytest
@@ -38,33 +40,53 @@ def test_help_never_says_that_an_option_is_none(call: Call, capsys: pytest.Captu
     assert "default: None" not in helped(call, capsys, command)
 
 
-@pytest.mark.skipif(shutil.which("bash") is None, reason="bash completes")
-@pytest.mark.parametrize(
-    ("typed", "expected"),
-    [
-        ("recon", "reconstruct"), ("run --meth", "--methods"), ("run --methods naive nova-f", "nova-fast"),
-        ("run --preset paper-", "paper-160"), ("run --sensor imx900-l", "imx900-lcg"), ("run --level llr", "llrs"),
-        ("run --scene corn", "cornell"), ("render corn", "cornell"), ("reconstruct cap --method nova-p", "nova-plus"),
-        ("reconstruct cap --cameras vggs", "vggsfm"), ("list enh", "enhancers"), ("new eff", "effect"),
-        ("help elec", "electrons"), ("pareto spl", "splats"),
-    ],
-)  # fmt: skip
-def test_the_tab_key_completes_commands_options_and_names(completion: str, typed: str, expected: str) -> None:
+TYPED = [
+    ("recon", "reconstruct"), ("run --meth", "--methods"), ("run --methods naive nova-f", "nova-fast"),
+    ("run --preset paper-", "paper-160"), ("run --sensor imx900-l", "imx900-lcg"), ("run --level llr", "llrs"),
+    ("run --scene corn", "cornell"), ("render corn", "cornell"), ("reconstruct cap --method nova-p", "nova-plus"),
+    ("reconstruct cap --cameras vggs", "vggsfm"), ("list enh", "enhancers"), ("new eff", "effect"),
+    ("help elec", "electrons"), ("pareto spl", "splats"),
+]  # fmt: skip
+
+
+@pytest.fixture(scope="module", params=["bash", "zsh"])
+def completion(request: pytest.FixtureRequest) -> tuple[str, str]:
+    """A shell, and what it loads."""
+    if shutil.which(request.param) is None:
+        pytest.skip(f"{request.param} is not installed")
+    command = [sys.executable, "-m", "novags", "--tyro-print-completion", request.param]
+    return request.param, subprocess.run(command, capture_output=True, text=True, check=True).stdout
+
+
+@pytest.mark.parametrize(("typed", "expected"), TYPED)
+def test_the_tab_key_completes_commands_options_and_names(
+    completion: tuple[str, str], tmp_path: Path, typed: str, expected: str
+) -> None:
+    assert expected in offered(*completion, tmp_path, typed).split()
+
+
+def test_no_shell_offers_a_line_of_a_help_text_as_a_word(completion: tuple[str, str], tmp_path: Path) -> None:
+    lines = offered(*completion, tmp_path, "report --d").splitlines()
+    assert [line.partition(":")[0].strip() for line in lines if line] == ["--dry-run"]
+
+
+def offered(shell: str, loaded: str, tmp_path: Path, typed: str) -> str:
+    """What the shell offers after these words and a tab."""
     words = ["novags", *typed.split()]
-    program = (
-        f'{completion}\nCOMP_WORDS=({" ".join(words)}); COMP_CWORD={len(words) - 1}; COMP_LINE="{" ".join(words)}"\n'
-        'COMP_POINT=${#COMP_LINE}; _novags; printf "%s\\n" "${COMPREPLY[@]}"'
-    )
-    done = subprocess.run(["bash", "-c", program], capture_output=True, text=True, check=False)
-    assert expected in done.stdout.split(), done.stderr
-
-
-@pytest.fixture(scope="module")
-def completion() -> str:
-    import sys
-
-    command = [sys.executable, "-m", "novags", "--tyro-print-completion", "bash"]
-    return subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    (tmp_path / "_novags").write_text(loaded)
+    if shell == "bash":
+        program = (
+            f'. "$1"\nCOMP_WORDS=({" ".join(words)}); COMP_CWORD={len(words) - 1}; COMP_LINE="{" ".join(words)}"\n'
+            'COMP_POINT=${#COMP_LINE}; _novags; printf "%s\\n" "${COMPREPLY[@]}"'
+        )
+    else:  # zsh completes in a terminal only: its two builtins that take what is offered say it instead
+        program = (
+            f'fpath=("$2" $fpath); autoload -U _novags; words=({" ".join(words)}); CURRENT={len(words)}\n'
+            'compadd() { shift; print -rl -- "$@"; }; _describe() { print -rl -- "${(P@)2%%:*}"; }; _novags'
+        )
+    done = subprocess.run([shell, "-c", program, shell, str(tmp_path / "_novags"), str(tmp_path)],
+                          capture_output=True, text=True, check=True)  # fmt: skip
+    return done.stdout
 
 
 @pytest.mark.parametrize(

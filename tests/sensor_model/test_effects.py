@@ -1,5 +1,6 @@
 """Every effect on its own: its sampler against its distribution, its moments against the closed form."""
 
+import mpmath
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -21,13 +22,26 @@ def assert_moments(sample, mean, variance):
     assert sample.var() == pytest.approx(variance, abs=5 * spread)
 
 
+def share_below(n, mu):
+    """P(N <= n) of a Poisson distribution, summed from n downwards in 40 digits until nothing more is added."""
+    with mpmath.workdps(40):
+        term = mpmath.exp(n * mpmath.log(mu) - mu - mpmath.loggamma(n + 1))
+        total = mpmath.mpf(0)
+        while n >= 0 and total + term != total:
+            total, term, n = total + term, term * n / mu, n - 1
+        return total
+
+
 @pytest.mark.parametrize("mu", [0.0, 5e-324, 1e-300, 1e-6, 0.3, 2.0, 3.999, 4.0, 17.3, 250.0, 1e4, 3e7])
 def test_shot_noise_is_the_poisson_quantile(mu):
     # up to where the distribution function still tells two float64 below 1 apart, and for large means only as far as
-    # scipy's is right (at mu = 3e7, u = 1 - 2**-19 its quantile is one electron low, by a sum in 30 digits)
+    # most of scipy's quantiles are right: each sum below takes a second
     tails = 45 if mu < 1e5 else 16
     u = np.concatenate([U[:2000], 2.0 ** -np.arange(1, tails), 1 - 2.0 ** -np.arange(2, tails)])
-    np.testing.assert_array_equal(effects.shot_noise(u, np.full(u.shape, mu)), stats.poisson.ppf(u, mu))
+    got, scipys = effects.shot_noise(u, np.full(u.shape, mu)), stats.poisson.ppf(u, mu)
+    # At mu = 3e7 scipy's quantile is an electron off here and there, elsewhere in each release: the sum decides.
+    for i in np.flatnonzero(got != scipys):
+        assert share_below(int(got[i]) - 1, mu) < u[i] <= share_below(int(got[i]), mu), (u[i], got[i], scipys[i])
 
 
 @pytest.mark.parametrize("mu", [0.01, 2.0, 60.0, 5e3])

@@ -1,8 +1,11 @@
 """What `--help` and tab completion say of a command's options, beyond its signature."""
 
 import inspect
+import io
+import re
 import types
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
@@ -12,7 +15,8 @@ LISTED = {"scene": "scenes", "sensor": "sensors", "level": "levels", "method": "
           "cameras": "cameras"}  # fmt: skip
 WORDS = {str: "STR", int: "INT", float: "FLOAT", Path: "PATH"}
 
-FIRST_WORDS = """
+FIRST_WORDS = {
+    "bash": """
 _novags_options=$(complete -p novags | sed 's/.*-F \\([^ ]*\\).*/\\1/')
 _novags() {{
   local names=
@@ -22,7 +26,15 @@ _novags() {{
   esac
   if [ "$COMP_CWORD" = 2 ]; then COMPREPLY+=($(compgen -W "$names" -- "${{COMP_WORDS[2]}}")); fi
 }}
-complete -o default -F _novags novags"""
+complete -o default -F _novags novags""",
+    # the end of tyro's file, which zsh loads as the body of a function, counting words from 1
+    "zsh": """
+local names=
+case ${{words[2]}} in
+{cases}
+esac
+if (( CURRENT == 3 )); then compadd -- ${{=names}}; fi""",
+}
 
 
 def completing(words: Sequence[str]) -> bool:
@@ -49,8 +61,21 @@ def annotations(command: Callable[..., None], words: Sequence[str]) -> dict[str,
     return hints
 
 
-def with_first_words(commands: Mapping[str, Callable[..., None]], words: Sequence[str]) -> str:
-    """What bash has to be told beside tyro's completion, which leaves out words that belong to no option."""
+@contextmanager
+def completed(commands: Mapping[str, Callable[..., None]], words: Sequence[str]) -> Iterator[None]:
+    """Print tyro's completion, which is made within, as the shell needs it that the second word names."""
+    said = io.StringIO()
+    try:
+        with redirect_stdout(said):
+            yield
+    finally:
+        # zsh would offer the second line of a help text as a word of its own
+        joined = re.sub("^COMPLETION_SPEC = .*", lambda spec: spec[0].replace(r"\n", " "), said.getvalue(), flags=re.M)
+        print(joined, _first_words(commands, words), sep="\n")
+
+
+def _first_words(commands: Mapping[str, Callable[..., None]], words: Sequence[str]) -> str:
+    """What the shell has to be told beside tyro's completion: words that belong to no option."""
     cases = []
     for name, command in commands.items():
         parameter = next(iter(inspect.signature(command).parameters.values()), None)
@@ -60,7 +85,7 @@ def with_first_words(commands: Mapping[str, Callable[..., None]], words: Sequenc
         if choices := [word for kind in (_bare(first), *get_args(_bare(first))) if get_origin(kind) is Literal
                        for word in get_args(kind)]:  # fmt: skip
             cases.append(f"    {name}) names='{' '.join(choices)}' ;;")
-    return FIRST_WORDS.format(cases="\n".join(cases))
+    return FIRST_WORDS[words[1]].format(cases="\n".join(cases))
 
 
 def _of_preset(words: Sequence[str]) -> dict[str, Any]:

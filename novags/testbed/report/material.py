@@ -73,16 +73,25 @@ class Material:
     def title(self) -> str:
         """The heading of the page."""
         if self.study:
-            counts = {name: len({str(row[name]) for row in self.rows}) for name in self.axes}
+            values = {name: list({str(row[name]): row[name] for row in self.rows}.values()) for name in self.axes}
             several = [
-                f"{count} {PLURALS.get(name, f'values of {name}')}" for name, count in counts.items() if count > 1
-            ]
-            return f"{Path(str(self.study[1]['file'])).stem}: {' × '.join(several) or '1 run'}"
+                f"{len(found)} {PLURALS.get(name, f'values of {name}')}{_light(found) if name == 'electrons' else ''}"
+                for name, found in values.items() if len(found) > 1
+            ]  # fmt: skip
+            shared = [f"{said:g} {unit}" for key, unit in (("views", "views"), ("electrons", "electrons"))
+                      if (said := self._same(key)) is not None]  # fmt: skip
+            return f"{Path(str(self.study[1]['file'])).stem}: {', '.join([' × '.join(several) or '1 run', *shared])}"
         if self.one is None:
             return f"{len(self.rows)} runs of {len(self.places)} captures"
         if (told := self.one.capture.record.simulated) is None:
             return f"{self.one.scene}: photographs from the dark"
         return f"{self.one.scene} at {told.electrons:g} electrons per pixel"
+
+    def _same(self, key: str) -> float | None:
+        """A number of capture.json that all runs on this machine share."""
+        found = {made.captured.get(key) for made in self.made.values()}
+        one = found.pop() if len(found) == 1 else None
+        return one if isinstance(one, (int, float)) else None
 
     @cached_property
     def lines(self) -> list[Line]:
@@ -113,6 +122,12 @@ class Material:
     def called(self, made: RunRecords) -> str:
         """The name of runs together: of one place each has its name, of several a method is named once."""
         return made.name if self.one else made.run.name
+
+
+def _light(levels: Sequence[Any]) -> str:
+    """The electrons of several light levels, in brackets; of many the first and the last."""
+    told = [f"{level:g}" for level in sorted(level for level in levels if isinstance(level, (int, float)))]
+    return f" ({', '.join(told) if len(told) <= 4 else f'{told[0]} to {told[-1]}'} electrons)" if told else ""
 
 
 def material_of(places: Sequence[Place], path: Path, command: str | None = None) -> Material:

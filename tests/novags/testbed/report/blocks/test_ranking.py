@@ -4,6 +4,7 @@ import json
 import os
 import re
 import shutil
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -229,6 +230,19 @@ def test_the_title_of_a_study_names_its_axes_with_their_counts() -> None:
     assert material(SCENES).title == "s: 3 scenes × 3 methods"
     one = {("one", 5.0, "a"): 20.0}
     assert material(one).title == "s: 1 run"
+
+
+def test_the_title_of_a_study_says_the_light_and_the_views(monkeypatch: pytest.MonkeyPatch) -> None:
+    def titled(levels: Sequence[float], *captured: dict[str, Any]) -> str:
+        found = material({("one", level, "a"): 20.0 for level in levels})
+        made = {number: SimpleNamespace(captured=record) for number, record in enumerate(captured, 1)}
+        return replace(found, made=made).title  # type: ignore[arg-type]
+
+    assert titled([20.0], {"views": 20, "electrons": 20.0}) == "s: 1 run, 20 views, 20 electrons"
+    two = {"views": 20, "electrons": 5.0}, {"views": 20, "electrons": 20.0}
+    assert titled([20.0, 5.0], *two) == "s: 2 light levels (5, 20 electrons), 20 views"
+    assert titled([1.0, 2.0, 4.0, 8.0, 0.5]) == "s: 5 light levels (0.5 to 8 electrons)"
+    assert titled([5.0, 20.0], two[0], two[1] | {"views": 12}) == "s: 2 light levels (5, 20 electrons)"
 
 
 RANKED = {"†": "oracle†", "1": "better", "2": "naive"}
