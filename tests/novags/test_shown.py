@@ -12,7 +12,7 @@ import pytest
 
 from novags.cli import COMMANDS
 from novags.commands.answers.catalogue import LISTS, listing, table
-from novags.commands.answers.shown import _metavar, annotations, completing, with_first_words
+from novags.commands.answers.shown import _first_words, _metavar, annotations, completing
 from novags.testbed.study.cells.presets import EXPERIMENTS
 
 Call = Callable[..., int]
@@ -153,8 +153,9 @@ def test_names_are_completed_for_every_option_that_takes_them_and_it_may_still_b
     assert shown["views"] == COMMANDS["run"].__annotations__["views"]
 
 
-def test_every_command_whose_first_word_is_a_name_has_a_case() -> None:
-    said = with_first_words(COMMANDS, ["--tyro-print-completion", "bash"])
+@pytest.mark.parametrize("shell", ["bash", "zsh"])
+def test_every_command_whose_first_word_is_a_name_has_a_case(shell: str) -> None:
+    said = _first_words(COMMANDS, ["--tyro-print-completion", shell])
     cases = dict(line.strip().partition(") names=")[::2] for line in said.splitlines() if ") names=" in line)
     assert set(cases) >= {"help", "list", "new", "pareto", "render"}
     assert all(name in cases["render"] for name in LISTS["scenes"]())
