@@ -92,7 +92,7 @@ def peak_of(samples: float) -> float:
     """About the most memory that a set takes, bytes; `samples` of its largest view, which are traced at once up to a
     wavefront. Without any it is the memory of Python, Mitsuba and its compiler.
     """
-    return 5.5e8 + 130.0 * min(samples, MAX_WAVEFRONT)
+    return 6e8 + 100.0 * min(samples, MAX_WAVEFRONT)
 
 
 def ensure(order: Order, steps: Steps, console: Console, depends: dict[str, Any] | None = None) -> dict[str, Any]:

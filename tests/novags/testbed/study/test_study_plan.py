@@ -225,8 +225,8 @@ def test_a_set_takes_the_memory_of_one_wavefront_of_its_largest_view(tmp_path: P
         assert worth == 8
         return peak
 
-    assert peak(32) - peak(16) == pytest.approx(130 * 64 * 64 * 16 * 8)
-    assert peak(4096) == peak(8192) == pytest.approx(5.5e8 + 130 * 2**22)
+    assert peak(32) - peak(16) == pytest.approx(100 * 64 * 64 * 16 * 8)
+    assert peak(4096) == peak(8192) == pytest.approx(6e8 + 100 * 2**22)
 
 
 @pytest.mark.parametrize(("kind", "expected"), [("set", 7), ("run", 12)])
