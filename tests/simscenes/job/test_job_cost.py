@@ -137,6 +137,10 @@ def test_what_a_launch_takes_lies_between_nothing_and_all_of_the_smaller_part(
     assert radiance.whole_seconds(seconds, [(1, 4), (1, 1)], (1, 400)) == pytest.approx(expected)
 
 
+def test_every_launch_of_the_job_counts() -> None:
+    assert radiance.whole_seconds([10.0, 4.0], [(1, 4), (1, 1)], (3, 400)) == pytest.approx(3 * 2 + 400 * 2)
+
+
 def test_parts_of_many_launches_are_scaled_by_their_samples() -> None:
     assert radiance.whole_seconds([12.0, 3.0], [(8, 400), (2, 100)], (32, 1600)) == pytest.approx(48)
 
