@@ -75,13 +75,11 @@ class Job:
     """What `render_set` did with some views.
 
     Attributes:
-        truths: Long renders of the views [h,w,3], and the mean variance of each.
         errors: Relative error of each view, root of the mean square over the repeats.
         seconds: [wall, processor] of the whole job, medians of the repeats.
         fixed: Processor seconds of it before the first view: reading and planning.
     """
 
-    truths: list[tuple[NDArray[np.float64], float]]
     errors: list[float]
     seconds: NDArray[np.float64]
     fixed: float
@@ -118,7 +116,7 @@ def ours(scene: str, rig: Rig, target: float, reference_spp: int, repeats: int) 
             relative([((made.radiance(i) - truth) ** 2).mean() - noise for made in done], truth)
             for i, (truth, noise) in enumerate(truths)
         ]
-        return Job(truths, errors, np.median(spent, axis=0), float(np.median(before)))
+        return Job(errors, np.median(spent, axis=0), float(np.median(before)))
 
 
 def relative(squares: Sequence[float], truth: NDArray[np.float64]) -> float:
@@ -133,7 +131,6 @@ class Peer:
     spp: int
     seconds: NDArray[np.float64]  # [views, 2], wall and processor, of one render: medians of the seeds
     noise: list[float]  # relative, of one render
-    means: list[NDArray[np.float64]]  # over the seeds
 
     def needed(self, wanted: Sequence[float], cut: Sequence[float]) -> tuple[NDArray[np.float64], float]:
         """[wall, processor] seconds and samples a pixel for these errors, `cut` being what its paths leave out."""
@@ -147,7 +144,7 @@ class Peer:
 def plain(mi: Any, loaded: LoadedScene, rig: Rig, sampler: str, depth: int, spp: int, seeds: int) -> Peer:
     """Plain renders of all views with `seeds` seeds; kernels are compiled before the clock starts."""
     integrator = mi.load_dict({"type": "path", "max_depth": depth})
-    found: list[tuple[NDArray[np.float64], float, NDArray[np.float64]]] = []
+    found: list[tuple[NDArray[np.float64], float]] = []
     for i in range(len(rig)):
         settings = sensor_dict(mi, rig, i, loaded) | {"sampler": {"type": sampler, "sample_count": spp}}
         sensor = mi.load_dict(settings)
@@ -158,19 +155,32 @@ def plain(mi: Any, loaded: LoadedScene, rig: Rig, sampler: str, depth: int, spp:
             image = mi.render(loaded.scene, sensor=sensor, integrator=integrator, spp=spp, seed=1000 * i + seed)
             images.append(np.array(image, dtype=np.float64)[..., :3])
             seconds.append(clock.read())
-        mean = np.mean(images[1:], axis=0)
-        noise = float(np.sqrt(np.var(images[1:], 0, ddof=1).mean()) / mean.mean())
-        found.append((np.median(seconds[1:], axis=0), noise, mean))
-    return Peer(spp, np.array([one[0] for one in found]), [one[1] for one in found], [one[2] for one in found])
+        noise = float(np.sqrt(np.var(images[1:], 0, ddof=1).mean()) / np.mean(images[1:]))
+        found.append((np.median(seconds[1:], axis=0), noise))
+    return Peer(spp, np.array([one[0] for one in found]), [one[1] for one in found])
 
 
-def left_out(peers: Sequence[Peer], seeds: int, truths: Sequence[tuple[NDArray[np.float64], float]]) -> list[float]:
-    """Relative error of each view that no sample takes away, from all peers of one depth together."""
+def left_out(mi: Any, loaded: LoadedScene, rig: Rig, depth: int, spp: int, seeds: int) -> list[float]:
+    """Relative error of each view that no sample takes away: light of longer paths.
+
+    A deep render of the same seed has the same paths up to this length, so that their noise cancels; the product of two
+    seeds' differences is free of the noise of the rest.
+    """
+    deep, cut = (mi.load_dict({"type": "path", "max_depth": longest}) for longest in (DEEPEST, depth))
     found = []
-    for i, (truth, noise) in enumerate(truths):
-        mean = np.mean([peer.means[i] for peer in peers], axis=0)
-        own = np.sum([(peer.noise[i] * peer.means[i].mean()) ** 2 for peer in peers]) / seeds / len(peers) ** 2
-        found.append(relative([((mean - truth) ** 2).mean() - noise - own], truth))
+    for i in range(len(rig)):
+        settings = sensor_dict(mi, rig, i, loaded) | {"sampler": {"type": "multijitter", "sample_count": spp}}
+        sensor = mi.load_dict(settings)
+        whole, short = (
+            [
+                np.array(mi.render(loaded.scene, sensor=sensor, integrator=way, spp=spp, seed=seed), dtype=np.float64)
+                for seed in range(seeds)
+            ]
+            for way in (deep, cut)
+        )
+        missing = [(a - b)[..., :3] for a, b in zip(whole, short, strict=True)]
+        products = [(a * b).mean() for a, b in itertools.combinations(missing, 2)]
+        found.append(relative(products, np.mean(whole, axis=0)[..., :3]))
     return found
 
 
@@ -189,9 +199,8 @@ def equal_error(
     read = clock.read()
     found: dict[tuple[str, int], tuple[Peer, list[float]]] = {}
     for depth in depths:
-        first = {sampler: plain(mi, loaded, rig, sampler, depth, spp, seeds) for sampler in peers}
-        cut = left_out(list(first.values()), seeds, job.truths)
-        found |= {(sampler, depth): (peer, cut) for sampler, peer in first.items()}
+        cut = left_out(mi, loaded, rig, depth, spp, seeds)
+        found |= {(name, depth): (plain(mi, loaded, rig, name, depth, spp, seeds), cut) for name in peers}
     least = min(float(peer.needed(job.errors, cut)[0][1]) for peer, cut in found.values())
     for (sampler, depth), (peer, cut) in found.items():
         needed, samples = peer.needed(job.errors, cut)
