@@ -1,6 +1,8 @@
-"""Equal error against plain Mitsuba, and how well times are predicted. The knobs' curves: `novags pareto render`.
+r"""Equal error against plain Mitsuba, and how well times are predicted. The knobs' curves: `novags pareto render`.
 
     python scripts/bench_render.py --equal-size 96 --equal-views 8 --target-error 0.03 [--out FILE]
+    python scripts/bench_render.py --scene hall --equal-size 64 --equal-views 3 --target-error 0.05 --depths 4 8 16 \
+        --peers independent stratified multijitter orthogonal ldsampler --plain-spp 64 --plain-seeds 3
     python scripts/bench_render.py --equal-views 0 --predict tabletop gallery street
     python scripts/bench_render.py --scene busts --equal-size 256 --target-error 0.05 --starts 2 3 5
     python scripts/bench_render.py --equal-size 64 --equal-views 3 --target-error 0.05 --fresh hall tabletop
@@ -8,18 +10,19 @@
 
 Writes JSON lines {"knob", "setting", "seconds", "error", "error_unit", "error_sd", "default"}, knob "method", that
 compare whole jobs: `render_set` to a target error, everything included (reading the scene, planning, predicting,
-geometry, writing), and what `mi.render` needs with an independent and with a multijittered sampler, depth 8 and
+geometry, writing), and what `mi.render` needs with Mitsuba's samplers (--peers) at several path lengths (--depths),
 roulette from 5, for the same error in every view, reading the scene included. All errors are measured: of ours against
-a render of --reference-spp samples by another seed, whose own variance is subtracted, of the others from the spread
-between seeds. Their time is scaled from the time of --plain-spp samples: exactly, since their noise falls as one over
-the root of the samples; the noise of multijittered ones falls faster, so that they are rendered once more, with about
-the samples that were found to be needed, and scaled from there (see "needed_spp"). Kernels are compiled beforehand for
-all. With --predict: the time that `render_set` predicted, and the time it took, once with a number of samples and once
-towards the target error. With --starts, and nothing else: the same job with roulette from each of these path lengths,
-twice each, in turn. With --fresh, and nothing else: what `novags render` takes for these scenes in a new process, stage
-by stage, on a machine that has never seen the scene, so that every kernel has to be compiled, and once more when the
-kernels are kept. With --denoise, and nothing else: error and processor time of views of these scenes with and without
-Intel's denoiser, at 16 to 1,024 samples a pixel.
+a deep render of --reference-spp samples by another seed, whose own variance is subtracted, of the others from the
+spread between seeds and from the light that their path length leaves out, which no sample takes away. Their time is
+scaled from the time of --plain-spp samples: exactly for independent ones, since their noise falls as one over the root
+of the samples; with the others it falls faster, so that they are rendered once more, with about the samples that were
+found to be needed, --most at most, and scaled from there (see "needed_spp"). Kernels are compiled beforehand for all.
+With --predict: the processor time that `render_set` predicted, and took, once with --plain-spp samples and once towards
+the target error, and its peak memory. With --starts, and nothing else: the same job with roulette from each of these
+path lengths, twice each, in turn. With --fresh, and nothing else: what `novags render` takes for these scenes in a new
+process, stage by stage, on a machine that has never seen the scene, so that every kernel has to be compiled, and once
+more when the kernels are kept. With --denoise, and nothing else: error and processor time of views of these scenes with
+and without Intel's denoiser, at 16 to 1,024 samples a pixel.
 """
 
 from __future__ import annotations
@@ -27,30 +30,34 @@ from __future__ import annotations
 import argparse
 import itertools
 import json
+import math
 import os
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 from numpy.typing import NDArray
 
 from simscenes import activate, default_rig, plan_transport, render_set
 from simscenes.job.curves import DEFAULT, NOISE, SceneBench
-from simscenes.loading.load import build_scene
-from simscenes.render.radiance import grid_spp
+from simscenes.loading.load import LoadedScene, build_scene
 from simscenes.render.sensors import sensor_dict
 from simscenes.rigs import Rig
+from simscenes.sets.multiview import MultiviewSet
+from simscenes.transport.pilot import DEEPEST
 from simscenes.transport.plan import TransportPlan
 
-PLAIN = {"type": "path", "max_depth": 8}
-PEERS = ("independent", "multijitter")
-MOST_SPP = 1024  # of a plain render; beyond that, its 32-bit film rounds
+PEERS = ("independent", "stratified", "multijitter", "orthogonal", "ldsampler")
+# Times the least time of all, at which a way is not rendered once more with the samples that it needs: its time would
+# have to fall by half, which is our guess of what never happens.
+HOPELESS = 2
 
 
 class Clock:
@@ -64,78 +71,168 @@ class Clock:
         return np.array([time.perf_counter(), time.process_time()]) - self.start
 
 
-def ours(scene: str, rig: Rig, target: float, reference_spp: int) -> tuple[list[float], NDArray[np.float64]]:
-    """Relative errors of the views of a set against long renders, and the seconds of the whole job."""
+@dataclass(frozen=True)
+class Job:
+    """What `render_set` did with some views.
+
+    Attributes:
+        errors: Relative error of each view, root of the mean square over the repeats.
+        seconds: [wall, processor] of the whole job, medians of the repeats.
+        fixed: Processor seconds of it before the first view: reading and planning.
+    """
+
+    errors: list[float]
+    seconds: NDArray[np.float64]
+    fixed: float
+
+
+def ours(scene: str, rig: Rig, target: float, reference_spp: int, repeats: int) -> Job:
+    """Time and error of whole jobs, which differ in their seeds alone."""
     with tempfile.TemporaryDirectory() as folder:
         render_set(scene, rig, Path(folder) / "warm", target_error=0.5)
-        clock = Clock()
-        done = render_set(scene, rig, Path(folder) / "set", target_error=target)
-        spent = clock.read()
-        print(json.dumps({"stages": done.meta["seconds"], "views": done.meta["views"]}), flush=True)
-        plan = TransportPlan.from_dict(done.meta["plan"])
-        exact = render_set(scene, rig, Path(folder) / "exact", spp=reference_spp, plan=plan, seed=1)
-        errors = []
+        done: list[MultiviewSet] = []
+        spent: list[NDArray[np.float64]] = []
+        before: list[float] = []
+        for seed in range(repeats):
+            clock = Clock()
+            begun: list[float] = []
+
+            def first(count: int, total: int, what: str, clock: Clock = clock, begun: list[float] = begun) -> None:
+                begun.extend([clock.read()[1]] if not begun and what.startswith("view") else [])
+
+            made = render_set(scene, rig, Path(folder) / f"{seed}", target_error=target, seed=seed, progress=first)
+            done.append(made)
+            spent.append(clock.read())
+            before.append(begun[0])
+            print(json.dumps({"stages": made.meta["seconds"], "views": made.meta["views"]}), flush=True)
+        plan = TransportPlan.from_dict(done[0].meta["plan"])
+        deep = replace(plan, max_depth=max(plan.max_depth, DEEPEST))
+        exact = render_set(scene, rig, Path(folder) / "exact", spp=reference_spp, plan=deep, seed=repeats)
+        truths = []
         for i in range(len(rig)):
-            truth, variance = exact.radiance(i).astype(np.float64), exact.variance(i)
+            variance = exact.variance(i)
             assert variance is not None, "a rendered set has variances"
-            square = ((done.radiance(i) - truth) ** 2).mean() - variance.mean()
-            errors.append(float(np.sqrt(max(square, 0.0)) / truth.mean()))
-        return errors, spent
+            truths.append((exact.radiance(i).astype(np.float64), float(variance.mean())))
+        errors = [
+            relative([((made.radiance(i) - truth) ** 2).mean() - noise for made in done], truth)
+            for i, (truth, noise) in enumerate(truths)
+        ]
+        return Job(errors, np.median(spent, axis=0), float(np.median(before)))
 
 
-def plain(
-    scene: str, rig: Rig, errors: list[float], spp: int, sampler: str, seeds: int
-) -> tuple[NDArray[np.float64], float, float]:
-    """Seconds that plain rendering needs for these errors, its relative error at `spp`, and the samples it needs."""
-    mi = activate()
-    clock = Clock()
-    loaded = build_scene(scene, mi)
-    needed, integrator, found, samples = clock.read(), mi.load_dict(PLAIN), [], []
-    for i, wanted in enumerate(errors):
+def relative(squares: Sequence[float], truth: NDArray[np.float64]) -> float:
+    """Root of the mean of squared errors over the mean light, 0 where their noise leaves less than nothing."""
+    return math.sqrt(max(float(np.mean(squares)), 0.0)) / float(truth.mean())
+
+
+@dataclass(frozen=True)
+class Peer:
+    """Plain renders of all views with one of Mitsuba's samplers: `spp` is what it made of the samples asked for."""
+
+    spp: int
+    seconds: NDArray[np.float64]  # [views, 2], wall and processor, of one render: medians of the seeds
+    noise: list[float]  # relative, of one render
+
+    def needed(self, wanted: Sequence[float], cut: Sequence[float]) -> tuple[NDArray[np.float64], float]:
+        """[wall, processor] seconds and samples a pixel for these errors, `cut` being what its paths leave out."""
+        times = [
+            (noise**2 / (want**2 - missing**2)) if want > missing else math.inf
+            for noise, want, missing in zip(self.noise, wanted, cut, strict=True)
+        ]
+        return (self.seconds * np.array(times)[:, None]).sum(0), self.spp * float(np.mean(times))
+
+
+def plain(mi: Any, loaded: LoadedScene, rig: Rig, sampler: str, depth: int, spp: int, seeds: int) -> Peer:
+    """Plain renders of all views with `seeds` seeds; kernels are compiled before the clock starts."""
+    integrator = mi.load_dict({"type": "path", "max_depth": depth})
+    found: list[tuple[NDArray[np.float64], float]] = []
+    for i in range(len(rig)):
         settings = sensor_dict(mi, rig, i, loaded) | {"sampler": {"type": sampler, "sample_count": spp}}
         sensor = mi.load_dict(settings)
-        np.array(mi.render(loaded.scene, sensor=sensor, integrator=integrator, spp=spp, seed=99))
-        images, clock = [], Clock()
-        for seed in range(seeds):
+        spp = int(sensor.sampler().sample_count())  # it may have rounded
+        images, seconds = [], []
+        for seed in range(seeds + 1):
+            clock = Clock()
             image = mi.render(loaded.scene, sensor=sensor, integrator=integrator, spp=spp, seed=1000 * i + seed)
             images.append(np.array(image, dtype=np.float64)[..., :3])
-        seconds = clock.read() / seeds
-        found.append(float(np.sqrt(np.var(images, 0, ddof=1).mean()) / np.mean(images)))
-        samples.append(spp * (found[-1] / wanted) ** 2)
-        needed += seconds * samples[-1] / spp
-    return needed, float(np.sqrt(np.mean(np.square(found)))), float(np.mean(samples))
+            seconds.append(clock.read())
+        noise = float(np.sqrt(np.var(images[1:], 0, ddof=1).mean()) / np.mean(images[1:]))
+        found.append((np.median(seconds[1:], axis=0), noise))
+    return Peer(spp, np.array([one[0] for one in found]), [one[1] for one in found])
+
+
+def left_out(mi: Any, loaded: LoadedScene, rig: Rig, depth: int, spp: int, seeds: int) -> list[float]:
+    """Relative error of each view that no sample takes away: light of longer paths.
+
+    A deep render of the same seed has the same paths up to this length, so that their noise cancels; the product of two
+    seeds' differences is free of the noise of the rest.
+    """
+    deep, cut = (mi.load_dict({"type": "path", "max_depth": longest}) for longest in (DEEPEST, depth))
+    found = []
+    for i in range(len(rig)):
+        settings = sensor_dict(mi, rig, i, loaded) | {"sampler": {"type": "multijitter", "sample_count": spp}}
+        sensor = mi.load_dict(settings)
+        whole, short = (
+            [
+                np.array(mi.render(loaded.scene, sensor=sensor, integrator=way, spp=spp, seed=seed), dtype=np.float64)
+                for seed in range(seeds)
+            ]
+            for way in (deep, cut)
+        )
+        missing = [(a - b)[..., :3] for a, b in zip(whole, short, strict=True)]
+        products = [(a * b).mean() for a, b in itertools.combinations(missing, 2)]
+        found.append(relative(products, np.mean(whole, axis=0)[..., :3]))
+    return found
 
 
 def equal_error(
-    scene: str, size: int, views: int, target: float, spp: int, seeds: int, reference_spp: int, peers: Sequence[str]
-) -> Iterator[dict[str, Any]]:
+    scene: str, size: int, views: int, target: float, spp: int, most: int, seeds: int,
+    reference_spp: int, repeats: int, peers: Sequence[str], depths: Sequence[int],
+) -> Iterator[dict[str, Any]]:  # fmt: skip
     """All ways to render the same views to the same errors."""
     rig = default_rig(scene, views, size, size)
-    errors, seconds = ours(scene, rig, target, reference_spp)
-    reached = float(np.sqrt(np.mean(np.square(errors))))
-    shared = {"knob": "method", "error_unit": NOISE, "error_sd": float(np.std(errors))}
-    yield {**shared, "setting": "render_set", "seconds": seconds[0], "error": reached, "default": True}
-    for sampler in peers:
-        needed, error, samples = plain(scene, rig, errors, spp, sampler, seeds)
-        near = spp
-        if sampler == "multijitter":
-            near = grid_spp(min(max(samples, 4), MOST_SPP))
-            needed, error, samples = plain(scene, rig, errors, near, sampler, seeds)
-        setting = f"plain mi.render, {sampler}"
+    job = ours(scene, rig, target, reference_spp, repeats)
+    reached = float(np.sqrt(np.mean(np.square(job.errors))))
+    shared = {"knob": "method", "error_unit": NOISE, "error_sd": float(np.std(job.errors))}
+    yield {**shared, "setting": "render_set", "seconds": job.seconds[0], "error": reached, "default": True}
+    mi, clock = activate(), Clock()
+    loaded = build_scene(scene, mi)
+    read = clock.read()
+    found: dict[tuple[str, int], tuple[Peer, list[float]]] = {}
+    for depth in depths:
+        cut = left_out(mi, loaded, rig, depth, spp, seeds)
+        found |= {(name, depth): (plain(mi, loaded, rig, name, depth, spp, seeds), cut) for name in peers}
+    least = min(float(peer.needed(job.errors, cut)[0][1]) for peer, cut in found.values())
+    for (sampler, depth), (peer, cut) in found.items():
+        needed, samples = peer.needed(job.errors, cut)
+        if sampler != "independent" and needed[1] < HOPELESS * least:
+            peer = plain(mi, loaded, rig, sampler, depth, round(min(max(samples, 4), most)), seeds)
+            needed, samples = peer.needed(job.errors, cut)
+        if not math.isfinite(needed[1]):
+            needed, samples = np.full(2, np.nan), math.nan  # JSON has no infinity
+        needed += read
+        setting = f"plain mi.render, {sampler}, depth {depth}"
         yield {**shared, "setting": setting, "seconds": needed[0], "error": reached, "default": False}
         yield {
-            "scene": scene, "size": size, "views": views, "sampler": sampler, "plain_spp": near, "plain_error": error,
-            "needed_spp": samples, "processor_seconds": [seconds[1], needed[1]],
-            "equal_error_speedup": needed[0] / seconds[0], "equal_error_speedup_cpu": needed[1] / seconds[1],
+            "scene": scene, "size": size, "views": views, "sampler": sampler, "depth": depth, "plain_spp": peer.spp,
+            "plain_error": float(np.sqrt(np.mean(np.square(peer.noise)))), "left_out": max(cut), "needed_spp": samples,
+            "processor_seconds": [job.seconds[1], needed[1]], "fixed_seconds": job.fixed,
+            "equal_error_speedup": needed[0] / job.seconds[0], "equal_error_speedup_cpu": needed[1] / job.seconds[1],
         }  # fmt: skip
 
 
-def predictions(scenes: Sequence[str], size: int, target: float) -> Iterator[dict[str, Any]]:
-    """Seconds of radiance predicted and spent, for a fixed number of samples and for a target error."""
+def predictions(scenes: Sequence[str], size: int, target: float, spp: int) -> Iterator[dict[str, Any]]:
+    """Seconds of radiance predicted and spent, for a fixed number of samples and for a target error.
+
+    The processor's clock stands in for the wall's: on a machine that others use as well, the wall's changes its pace
+    between the prediction and the job.
+    """
     for scene in scenes:
         rig = default_rig(scene, 8, size, size)
-        for quality in ({"spp": 256}, {"target_error": target}):
-            with tempfile.TemporaryDirectory() as folder:
+        with tempfile.TemporaryDirectory() as folder:
+            render_set(scene, rig, folder, target_error=0.5)  # compiles, which no clock of the processor can take out
+        for quality in ({"spp": spp}, {"target_error": target}):
+            with tempfile.TemporaryDirectory() as folder, patch("time.perf_counter", time.process_time):
                 meta = render_set(scene, rig, folder, **quality).meta  # type: ignore[arg-type]  # one of two keywords
             foretold, spent = meta["predicted_seconds"], meta["seconds"]["radiance"]
             yield {
@@ -145,6 +242,7 @@ def predictions(scenes: Sequence[str], size: int, target: float) -> Iterator[dic
                 "predicted": foretold,
                 "radiance": spent,
                 "ratio": foretold / spent,
+                "peak_bytes": meta["peak_bytes"],
             }
 
 
@@ -152,7 +250,8 @@ def starts_of_roulette(
     scene: str, size: int, views: int, target: float, starts: Sequence[int], repeats: int = 2
 ) -> Iterator[dict[str, Any]]:
     """What the whole job takes by where roulette starts, planning included; the first round compiles the kernels."""
-    rig, spent = default_rig(scene, views, size, size), {}
+    rig = default_rig(scene, views, size, size)
+    spent: dict[int, list[list[float]]] = {}
     for turn, start in itertools.product(range(repeats + 1), starts):
         with tempfile.TemporaryDirectory() as folder:
             clock = Clock()
@@ -216,14 +315,17 @@ def main() -> None:
     parser.add_argument("--fresh", nargs="*", default=[], help="scenes that are rendered in processes of their own")
     parser.add_argument("--denoise", nargs="*", default=[], help="scenes whose views are denoised")
     parser.add_argument("--plain-spp", type=int, default=256)
+    parser.add_argument("--most", type=int, default=1024, help="samples of a plain render: its 32-bit film rounds more")
     parser.add_argument("--plain-seeds", type=int, default=4, help="renders whose spread is the error of plain ones")
-    parser.add_argument("--peers", nargs="+", default=list(PEERS), choices=PEERS)
+    parser.add_argument("--peers", nargs="+", default=["independent", "multijitter"], choices=PEERS)
+    parser.add_argument("--depths", nargs="+", type=int, default=[8], help="lengths of plain paths")
+    parser.add_argument("--repeats", type=int, default=3, help="whole jobs of ours, whose medians count")
     parser.add_argument("--reference-spp", type=int, default=4096)
     a = parser.parse_args()
     size, views = a.equal_size, a.equal_views
-    sampling = (a.plain_spp, a.plain_seeds, a.reference_spp, a.peers)
+    sampling = (a.plain_spp, a.most, a.plain_seeds, a.reference_spp, a.repeats, a.peers, a.depths)
     compared = equal_error(a.scene, size, views, a.target_error, *sampling) if views else ()
-    foretold = predictions(a.predict, a.equal_size, a.target_error)
+    foretold = predictions(a.predict, a.equal_size, a.target_error, a.plain_spp)
     begun = starts_of_roulette(a.scene, size, views, a.target_error, a.starts)
     alone = fresh(a.fresh, size, views, a.target_error)
     lines = []

@@ -6,7 +6,7 @@ import hashlib
 import math
 import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -20,7 +20,7 @@ from simscenes.optics import Optics
 from simscenes.render.motion import subframe_rig
 from simscenes.render.sensors import PINHOLE, sensor_dict
 from simscenes.render.sequences import Radiance, Sequences, sample_shares
-from simscenes.render.wavefront import compilation, sample_sums
+from simscenes.render.wavefront import MAX_WAVEFRONT, compilation, sample_sums
 from simscenes.rigs import Rig
 
 Tick = Callable[[float], None]
@@ -186,18 +186,31 @@ class RenderedView:
     def seconds(self, spp: int, part: float) -> float:
         """Seconds that rendering with `spp` samples takes, from about `part` of them, timed when the kernel is there.
 
-        The part is a share of the pixels; in a scalar variant, of the samples. This view cannot be rendered afterwards.
+        The part is a share of the pixels; in a scalar variant, of the samples. A quarter of it is timed as well, so
+        that the time of a launch is not taken for the time of its samples: a few samples would seem up to half as slow
+        again as many. This view cannot be rendered afterwards.
         """
         more = self.samples.even(spp)
-        if self.scalar:
-            drawn = self.samples.even(min(part, 1.0) * spp)
-        else:
-            chosen = np.arange(more.size) % max(int(1 / part), 1) == 0
-            drawn = more * chosen.reshape(more.shape)
-        for _ in range(2):
+        many, few = (self._share_of(more, share) for share in (min(part, 1.0), min(part, 1.0) / 4))
+        self._draw(many)  # compiles
+        spent = []
+        for drawn in (many, few):
             start = time.perf_counter()
             self._draw(drawn)
-        return (time.perf_counter() - start) * float(more.sum() / drawn.sum())
+            spent.append(time.perf_counter() - start)
+        sizes = [self._cost_of(drawn) for drawn in (many, few)]
+        return whole_seconds(spent, sizes, self._cost_of(more))
+
+    def _share_of(self, more: NDArray[np.int64], part: float) -> NDArray[np.int64]:
+        if self.scalar:
+            return self.samples.even(part * 2 * float(more.max()))
+        chosen = np.arange(more.size) % max(int(1 / part), 1) == 0
+        return np.asarray(more * chosen.reshape(more.shape))
+
+    def _cost_of(self, drawn: NDArray[np.int64]) -> tuple[int, int]:
+        """Launches and samples that adding these takes."""
+        samples, poses = 2 * int(drawn.sum()), len(self.sensors)
+        return poses * math.ceil(samples / poses / MAX_WAVEFRONT), samples
 
     def _in_camera_rgb(self, light: NDArray[np.float64]) -> NDArray[np.float64]:
         if self.method.optics.camera is None:
@@ -227,6 +240,19 @@ class RenderedView:
         """Samples per pixel that bring a pilot's error down to the target, if it falls as 1/sqrt(spp)."""
         wanted = (self.pilot.error / target_error) ** 2
         return min(max(PILOT_SPP, math.ceil(wanted)), MAX_SPP)
+
+
+def whole_seconds(seconds: Sequence[float], parts: Sequence[tuple[int, int]], whole: tuple[int, int]) -> float:
+    """Seconds of a job from the seconds of two parts of it, the larger first, all known by launches and samples.
+
+    A launch takes a time of its own beside that of its samples. It lies between nothing and all of the smaller part,
+    whatever noise of the clock says.
+    """
+    (spent, less), ((launches, samples), (fewer, sparse)) = seconds, parts
+    # Where both parts are many launches, they say the same, and the launch cannot be told from its samples.
+    apart = fewer * samples - launches * sparse
+    launch = min(max((less * samples - spent * sparse) / apart, 0.0), less / fewer) if apart > 0 else 0.0
+    return launch * whole[0] + max(spent - launch * launches, 0.0) / samples * whole[1]
 
 
 def grid_spp(spp: float) -> int:

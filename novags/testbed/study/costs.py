@@ -45,7 +45,7 @@ class LinearCost:
 # Seconds over work, memory and disk over pixels: guesses of the right order, of a thread of a laptop.
 DEFAULTS: dict[str, tuple[LinearCost, LinearCost, LinearCost]] = {
     "set": (LinearCost(3.0, 2.5e-7), LinearCost(6e8, 60.0), LinearCost(3e4, 45.0)),
-    "capture": (LinearCost(0.5, 4e-6), LinearCost(6e8, 150.0), LinearCost(3e4, 45.0)),
+    "capture": (LinearCost(0.5, 4e-6), LinearCost(8.2e8, 300.0), LinearCost(3e4, 45.0)),
     "run": (LinearCost(4.0, 1.5e-6), LinearCost(9e8, 400.0), LinearCost(1e6, 60.0)),
     "measurement": (
         LinearCost(10.0, 0.0),

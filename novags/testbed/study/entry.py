@@ -19,6 +19,7 @@ from novags.testbed.ledger.store import SEAL, Seal, clear, damaged, read_seal, w
 from novags.testbed.stages.failing import failing_in
 from novags.testbed.study.engines.worker import MachineError
 from sensor_model.files.lock import locked
+from simscenes.render.wavefront import MAX_WAVEFRONT
 
 # Bytes of a view beside its pixels (tracks of its points), and of a pixel: measured on sets and captures of 8 to 50
 # views of 48² to 1000² pixels, 53 to 63 and 28 to 36 bytes a pixel.
@@ -85,6 +86,13 @@ def disk_of(kind: str, views: int, pixels: float, mosaic: bool = False) -> float
     """Bytes of a rendered set or of a capture of one, see `PICTURES`; `pixels` of all its views."""
     view, pixel = PICTURES["mosaic" if mosaic else kind]
     return views * view + pixels * pixel
+
+
+def peak_of(samples: float) -> float:
+    """About the most memory that a set takes, bytes; `samples` of its largest view, which are traced at once up to a
+    wavefront. Without any it is the memory of Python, Mitsuba and its compiler.
+    """
+    return 6e8 + 100.0 * min(samples, MAX_WAVEFRONT)
 
 
 def ensure(order: Order, steps: Steps, console: Console, depends: dict[str, Any] | None = None) -> dict[str, Any]:
@@ -156,8 +164,11 @@ def _believed(order: Order, steps: Steps, console: Console) -> Seal | None:
 def _cost(order: Order, steps: Steps) -> dict[str, Any]:
     task = order.task
     records = {name: read_json(order.folder / step.record) for name, step in steps.items()}
-    # A record's own peak belongs to a program which ran beside this process.
-    peaks = [int(record["stage"]["peak_bytes"]) + int(record.get("peak_bytes", 0)) for record in records.values()]
+    # Of a run, a record's own peak belongs to a program which ran beside this process; of a set, to this process.
+    beside = task.kind == "run"
+    peaks = [
+        int(record["stage"]["peak_bytes"]) + beside * int(record.get("peak_bytes", 0)) for record in records.values()
+    ]
     return {
         "seconds": {name: float(record["stage"]["seconds"]) for name, record in records.items()},
         "peak_bytes": max(peaks),

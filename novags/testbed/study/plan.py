@@ -28,7 +28,7 @@ from novags.testbed.stages.posing import photographs_of
 from novags.testbed.stages.rendering import scene_digest
 from novags.testbed.study.cells.grid import Cell, Study
 from novags.testbed.study.cells.presets import Preset
-from novags.testbed.study.entry import Task, disk_of
+from novags.testbed.study.entry import Task, disk_of, peak_of
 from novags.testbed.study.knobs.measurement import Measurement
 from sensor_model.files.dng import SMALLEST
 from sensor_model.files.door import resolved
@@ -256,6 +256,7 @@ class Planner:
         return self._task(Task(
             kind="set", key=key, name=named(name, key), config=config, group=config.source.name,
             work=samples, pixels=pixels, disk=disk_of("set", config.n_views, pixels),
+            memory=peak_of(config.most_samples),
         ))  # fmt: skip
 
     def _posed(self, config: PosesConfig) -> str:

@@ -96,24 +96,50 @@ def test_an_error_out_of_reach_is_refused_with_the_nearest_that_is_not() -> None
 
 
 @pytest.mark.parametrize(
-    ("variant", "part", "drawn"),
-    [("llvm", 0.1, 3 * 18), ("llvm", 0.9, 24 * 18), ("llvm", 8.0, 24 * 18), ("scalar", 0.5, 24 * 9), ("scalar", 0, 24)],
-)
-def test_a_part_of_a_view_is_timed_when_its_kernel_is_compiled(
-    variant: str, part: float, drawn: int, monkeypatch: pytest.MonkeyPatch
+    ("variant", "part", "drawn", "quarter"),
+    [("llvm", 0.1, 3 * 18, 18), ("llvm", 0.9, 24 * 18, 6 * 18), ("llvm", 8.0, 24 * 18, 6 * 18),
+     ("scalar", 0.5, 24 * 9, 24 * 3), ("scalar", 0, 24, 24)],
+)  # fmt: skip
+@pytest.mark.parametrize("launch", [0.0, 5.0])
+def test_a_part_of_a_view_is_timed_when_its_kernel_is_compiled_and_the_launch_apart_from_its_samples(
+    variant: str, part: float, drawn: int, quarter: int, launch: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """60 s of compilation, then 1/8 s a sample: 24 pixels of 2 x 18 samples take 108 s, whichever part is traced."""
-    clock, traced = Clock(), []
+    """60 s of compilation, then 1/8 s a sample: 24 pixels of 2 x 18 samples take 108 s, whichever part is traced, and
+    one launch as all take. A part that has no smaller one takes its launch for the time of its samples.
+    """
+    clock = Clock()
+    traced: list[int] = []
     monkeypatch.setattr(radiance, "time", SimpleNamespace(perf_counter=clock))
+    monkeypatch.setattr(radiance.RenderedView, "sensors", [None])
 
     def draw(self: Any, more: Any) -> None:
-        clock.now += (0 if traced else 60) + 2 * more.sum() / 8
+        clock.now += (0 if traced else 60) + launch + 2 * more.sum() / 8
         traced.append(int(more.sum()))
 
     monkeypatch.setattr(radiance.RenderedView, "_draw", draw)
     view = radiance.RenderedView(SimpleNamespace(variant=variant, subframes=1), RIG, 0)  # type: ignore[arg-type]
-    assert view.seconds(36, part) == pytest.approx(108)
-    assert traced == [drawn] * 2
+    expected = 108 + launch * (18 if drawn == quarter else 1)
+    assert view.seconds(36, part) == pytest.approx(expected)
+    assert traced == [drawn, drawn, quarter]
+
+
+@pytest.mark.parametrize(
+    ("seconds", "expected"),
+    [((10.0, 4.0), 2 + 8 * 100), ((8.0, 2.0), 8 * 100), ((8.0, 1.0), 8 * 100), ((10.0, 12.0), 12.0), ((8.0, 8.0), 8.0)],
+)
+def test_what_a_launch_takes_lies_between_nothing_and_all_of_the_smaller_part(
+    seconds: tuple[float, float], expected: float
+) -> None:
+    """Parts of 4 and 1 samples, a job of 400 of them in one launch, and a clock that may be wrong."""
+    assert radiance.whole_seconds(seconds, [(1, 4), (1, 1)], (1, 400)) == pytest.approx(expected)
+
+
+def test_every_launch_of_the_job_counts() -> None:
+    assert radiance.whole_seconds([10.0, 4.0], [(1, 4), (1, 1)], (3, 400)) == pytest.approx(3 * 2 + 400 * 2)
+
+
+def test_parts_of_many_launches_are_scaled_by_their_samples() -> None:
+    assert radiance.whole_seconds([12.0, 3.0], [(8, 400), (2, 100)], (32, 1600)) == pytest.approx(48)
 
 
 def test_a_pilot_is_timed_without_the_compilation_of_its_kernel_and_drawn_once(

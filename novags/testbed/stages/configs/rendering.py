@@ -86,6 +86,11 @@ class RenderConfig:
         held_out = sum(map(is_test_view, range(self.n_views)))
         return self.n_views + (self.truth_samples - 1) * held_out
 
+    @property
+    def most_samples(self) -> float:
+        """Samples of the view that has most, a held-out one; of a target error, about the usual ones."""
+        return self.width * self.height * (self.spp or 256) * self.truth_samples
+
     def resolved(self) -> dict[str, Any]:
         """The settings that determine the pixels, apart from the content of the scene: neither its path nor further
         layouts.

@@ -1,5 +1,6 @@
 """Claims about the plan of a study: what is shared, what a key depends on, what is refused, what it will take."""
 
+import json
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace
@@ -17,6 +18,7 @@ from novags.testbed.ledger import store
 from novags.testbed.ledger.code import Code
 from novags.testbed.stages.configs.capturing import CaptureConfig
 from novags.testbed.stages.configs.reconstructing import ReconstructConfig, files_of
+from novags.testbed.study import entry
 from novags.testbed.study.cells.grid import read_study
 from novags.testbed.study.costs import Costs, default, longest_after, time_left
 from novags.testbed.study.engines.choice import OneMachine
@@ -211,6 +213,30 @@ def test_what_cannot_work_is_refused_before_anything_runs(tmp_path: Path, what: 
         plan(tmp_path, text)
     assert str(error.value).startswith(str(tmp_path / "study.toml"))
     assert len(str(error.value).splitlines()) == 1
+
+
+def test_a_set_takes_the_memory_of_one_wavefront_of_its_largest_view(tmp_path: Path) -> None:
+    """Held-out views are the largest; beyond 2^22 samples nothing more is traced at once."""
+
+    def peak(spp: int) -> float:
+        found = plan(tmp_path, f"{GRID}[override]\nwidth = 64\nheight = 64\nspp = {spp}")
+        (peak,) = {task.memory for task in found.tasks.values() if task.kind == "set"}
+        (worth,) = {task.config.truth_samples for task in found.tasks.values() if task.kind == "set"}
+        assert worth == 8
+        return peak
+
+    assert peak(32) - peak(16) == pytest.approx(100 * 64 * 64 * 16 * 8)
+    assert peak(4096) == peak(8192) == pytest.approx(6e8 + 100 * 2**22)
+
+
+@pytest.mark.parametrize(("kind", "expected"), [("set", 7), ("run", 12)])
+def test_a_peak_counts_once_and_with_it_the_program_that_ran_beside(kind: str, expected: int, tmp_path: Path) -> None:
+    """A set's record says the peak of the very process that its stage measured."""
+    record = {"stage": {"peak_bytes": 7, "seconds": 1.0}, "peak_bytes": 5}
+    (tmp_path / "record.json").write_text(json.dumps(record))
+    order: Any = SimpleNamespace(task=entry.Task(kind, "k", "n", None), folder=tmp_path, threads=1)
+    steps = {"render": entry.StageStep(lambda: None, "record.json")}
+    assert entry._cost(order, steps)["peak_bytes"] == expected
 
 
 def test_the_forecast_counts_what_is_there_and_writes_nothing(tmp_path: Path) -> None:
