@@ -152,10 +152,11 @@ def read_frames(file: Path) -> NDArray[Any]:
 def _quiet_opencv() -> Iterator[None]:
     """Keep OpenCV from writing lines of its own, of files that are then refused by name."""
     global _decoding, _level
-    logging = cv2.utils.logging
+    # Version 5 has it in a module, 4 had it at the top; 0 is silent in both.
+    logging: Any = getattr(cv2.utils, "logging", cv2)
     with _OPENCV:
         if not _decoding:
-            _level = logging.setLogLevel(logging.LOG_LEVEL_SILENT)
+            _level = logging.setLogLevel(0)
         _decoding += 1
     try:
         yield
