@@ -73,7 +73,7 @@ def main() -> None:
                              f"{', '.join(COMMANDS)}")  # fmt: skip
         shown = COMMANDS if completing(words) else words[:1]  # of others nobody asks for names and presets
         commands = {name: _checked(command, words if name in shown else ()) for name, command in COMMANDS.items()}
-        printed = words[:1] == ["--tyro-print-completion"] and words[-1] in FIRST_WORDS
+        printed = words[:1] == ["--tyro-print-completion"] and bool({*words[1:2]} & FIRST_WORDS.keys())
         with common, TYPES, completed(COMMANDS, words) if printed else nullcontext():
             tyro.extras.subcommand_cli_from_dict(commands, prog="novags", description=DESCRIPTION, args=words)
 

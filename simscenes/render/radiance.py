@@ -245,7 +245,7 @@ class RenderedView:
 def whole_seconds(seconds: Sequence[float], parts: Sequence[tuple[int, int]], whole: tuple[int, int]) -> float:
     """Seconds of a job from the seconds of two parts of it, the larger first, all known by launches and samples.
 
-    A launch takes a time of its own beside that of its samples. It lies between nothing and all of the smaller part,
+    A launch takes time beside the time of its samples. This time lies between nothing and all of the smaller part,
     whatever noise of the clock says.
     """
     (spent, less), ((launches, samples), (fewer, sparse)) = seconds, parts

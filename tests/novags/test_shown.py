@@ -53,7 +53,7 @@ TYPED = [
 def completion(request: pytest.FixtureRequest) -> tuple[str, str]:
     """A shell, and what it loads."""
     if shutil.which(request.param) is None:
-        pytest.skip(f"{request.param} is not installed")
+        pytest.skip(f"{request.param} is not installed")  # a shell of the system, which no set-up of ours installs
     command = [sys.executable, "-m", "novags", "--tyro-print-completion", request.param]
     return request.param, subprocess.run(command, capture_output=True, text=True, check=True).stdout
 
