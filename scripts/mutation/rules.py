@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from .careless import CAMERA_PAIRS, END_PAIRS, Change, careless, name_of
+from .relatives import relatives
 
 FLOOR = 1e-5  # smaller constants only keep a division or a logarithm finite
 PAIRS = (
@@ -53,6 +54,7 @@ def changes(node: ast.expr, role: str, names: frozenset[str], function: str) -> 
         function: Its qualified name.
     """
     yield from careless(node, role, names, function)
+    yield from relatives(node, role, function)
     match node:
         case ast.BinOp():
             yield from _arithmetic(node)
