@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sensor_model import PRESETS, Exposure, Stack, characterise, expose, read_sensor, write_sensor
-from sensor_model.characterisation import noise_parts
+from sensor_model.characterisation import _straightened, noise_parts
 
 SIDE, FULL, RATE, ETA = 160, 8000, 40_000.0, 0.6  # px, e-, e-/s, e- per photon
 TRUE = {"gain": 2.0, "sigma_d": 3.0, "dark_current": 50.0, "prnu": 0.01, "dsnu": 1.0, "black_level": 100.0}
@@ -198,6 +198,12 @@ def test_light_that_does_not_follow_what_is_stated_is_refused(time):
         characterise(dark, [Stack(s.frames, 0.1, p.photons) for s, p in zip(flat, flat[::-1], strict=True)])
     known = [Stack(s.frames, s.time, s.photons) for s in flat]
     assert characterise(dark, known).gain == pytest.approx(TRUE["gain"], rel=0.01)
+
+
+def test_the_bend_of_a_signal_is_undone_and_its_slope_never_vanishes() -> None:
+    linear, slope = _straightened(np.array([0.0, 0.5, 1.0, 9.0]), 0.3)
+    np.testing.assert_allclose(slope, [1.0, np.sqrt(1 - 0.6), 0.1, 0.1])
+    np.testing.assert_allclose(linear, [0.0, 1 / (1 + np.sqrt(0.4)), 2 / 1.1, 18 / 1.1])
 
 
 def test_noise_of_rows_is_that_of_all_dark_stacks() -> None:

@@ -42,6 +42,7 @@ class NovaPlusConfig:
         averaged_share: Of the guided averages beside their guide, in the targets of stage 2.
         denoise: The trained denoiser, for data whose noise is independent; None: without it.
         denoised_share: Of its pictures in the targets of stage 2.
+        least_share: Of both shares, which fall with the variance of what they are shares of; 1: they do not fall.
         stages: How far to go: "likelihood" alone, or "all".
         noise: "camera": the known noise, where there is one; "pictures": estimated from the pictures.
         pictures: Whose enhancement the result is shown through, and compared with methods that enhance.
@@ -57,6 +58,7 @@ class NovaPlusConfig:
     averaged_share: float = 1 / 2
     denoise: DenoiseConfig | None = field(default_factory=DenoiseConfig)
     denoised_share: float = 1 / 3
+    least_share: float = 1.0
     stages: Literal["likelihood", "all"] = "all"
     noise: Literal["camera", "pictures"] = "camera"
     pictures: Pictures = "8bit"
@@ -67,10 +69,10 @@ class NovaPlusConfig:
             raise ValueError(f"seeds must be >= 1, got {self.seeds}")
         if not 0 <= self.held_share < 1:
             raise ValueError(f"held_share must lie in [0, 1), got {self.held_share}")
-        if not (0 <= self.averaged_share <= 1 and 0 <= self.denoised_share <= 1):
+        shares = (self.averaged_share, self.denoised_share, self.least_share)
+        if not all(0 <= share <= 1 for share in shares):
             raise ValueError(
-                f"averaged_share and denoised_share must lie in [0, 1], got {self.averaged_share} and "
-                f"{self.denoised_share}"
+                "averaged_share, denoised_share and least_share must lie in [0, 1], got {}, {} and {}".format(*shares)
             )
         if self.bandwidth is not None and not self.bandwidth > 0:
             raise ValueError(f"bandwidth must be > 0 or None, got {self.bandwidth}")

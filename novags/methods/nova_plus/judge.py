@@ -1,7 +1,7 @@
 """Which of two reconstructions agrees better with the held-out data: a test that needs no truth.
 
 The test needs data whose noise is independent. Where neighbouring data share noise, none are held out, and no verdict
-is given.
+is given. A datum counts by its exactness in tone: with equal weights, the noise of the dark drowns the verdict.
 """
 
 import math
@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from novags.methods.nova_plus.data import LightMeasurements
+from novags.methods.nova_plus.likelihood import exactness
 from novags.methods.tone import ToneCurve
 
 
@@ -47,14 +48,16 @@ def compare(
         other: Of the second [C, H, W, 3].
         data: The measurements.
         curve: From tones to light.
-        weights: Of each datum [C, H, W, 3].
+        weights: Of each datum [C, H, W, 3], beside its `exactness` at the mean of both.
     """
     parts = []
     for a, b, light, held, weight in zip(tones, other, data.light, data.held, weights, strict=True):
         there = held[..., None] & ~light.isnan()
         first, second, datum = (values[there].double() for values in (curve.light(a), curve.light(b), light))
-        slope = curve.slope((a + b) / 2)[there].double()
-        parts.append((second - first) * (2 * datum - first - second) / slope.square() * weight[there].double())
+        middle = (a + b) / 2
+        slope, variance = (values[there].double() for values in (curve.slope(middle), data.noise(curve.light(middle))))
+        counts = weight[there].double() * exactness(variance, slope) / slope.square()
+        parts.append(counts * (second - first) * (2 * datum - first - second))
     difference = torch.cat(parts)
     if len(difference) < 2:
         return Verdict(0.0, math.inf)

@@ -26,6 +26,11 @@ from sensor_model.noise import NoiseCurve
 FLOOR = 0.01
 
 
+def exactness(variance: Tensor, slope: Tensor) -> Tensor:
+    """The weight w of light with this variance, at this slope of the curve: 1 of exact light, 0 of mere noise."""
+    return FLOOR / (variance / slope.square() + FLOOR)
+
+
 class Likelihood:
     """The loss of a picture of tones against data; nan data are left out. A `PixelLoss`."""
 
@@ -48,7 +53,7 @@ class Likelihood:
         tone = step.render.detach()
         light, slope = self.curve.light(tone), self.curve.slope(tone)
         there = ~target.isnan() & ~((target >= FULL * self.data.white) & (light > target))
-        weight = FLOOR / (self.data.noise(light) / slope.square() + FLOOR)
+        weight = exactness(self.data.noise(light), slope)
         residual = torch.where(there, (target - light) / slope, 0.0)
         # render - tone is 0 and only carries the gradient: this is the loss, with its gradient for fixed w and g
         return (weight * there * (step.render - tone - residual).square()).mean() / self.share

@@ -25,7 +25,7 @@ from novags.methods.nova_plus.data import LightMeasurements, exposures
 from novags.methods.nova_plus.judge import compare, mean_tone
 from novags.methods.nova_plus.likelihood import Likelihood
 from novags.methods.nova_plus.merge import merged
-from novags.methods.nova_plus.targets import denoised_light, guided_light
+from novags.methods.nova_plus.targets import LEFT, denoised_light, guided_light, towards
 from novags.methods.problem import Problem, gathered
 from novags.methods.reconstruction import Progress, Reconstruction
 from novags.methods.tone import ToneCurve, tone_curve
@@ -156,14 +156,16 @@ class _Work:
     def targets(self, tones: Iterable[Tensor], h: float) -> Tensor:
         """Tones [C, H, W, 3] that stage 2 fits, from tones [H, W, 3] that guide."""
         guide = gathered(tones, self.data.light)
-        light = guided_light(guide, self.data, self.curve, h, self.config.averaged_share)
+        config = self.config
+        light = guided_light(guide, self.data, self.curve, h, config.averaged_share, config.least_share)
         expected = (self.curve.light(view) for view in guide)
         del guide  # its memory is wanted once `expected` is used up
         give_back()
         clean = self.denoised(expected)
         self.found["denoised"] = clean is not None
         for seen, other in zip(light, light if clean is None else clean, strict=True):
-            seen.copy_(self.curve.tone(seen + self.config.denoised_share * (other - seen)))
+            near = towards(seen, other, LEFT * self.data.noise(seen), self.curve, config.least_share)
+            seen.copy_(self.curve.tone(seen + config.denoised_share * (near - seen)))
         return light
 
     def denoised(self, expected: Iterable[Tensor]) -> Iterator[Tensor] | None:

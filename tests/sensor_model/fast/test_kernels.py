@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sensor_model import Banding, Defects, DualGain, Exposure, Sensor, SensorOptics, expose
-from sensor_model.fast import blocks
+from sensor_model.fast import blocks, capture_fused
 
 BASE = {"gain": 1.3, "eta": 0.6, "mu_e_sat": 3000.0, "black_level": 100.0, "bits": 12, "sigma_d": 2.0, "cfa": None}
 CHAINS = {
@@ -172,3 +172,13 @@ def test_a_number_far_in_the_tail_is_taken_in_double_precision():
             expose(np.full((1, 20), level), sensor, exposure, **how, backend=b).dn for b in ("numba", "numpy")
         )
         np.testing.assert_array_equal(fast, plain)
+
+
+def test_a_code_is_in_doubt_within_a_share_of_the_loudest_read_noise_in_codes() -> None:
+    def margin(sigma: float, gain: float, sigma_low: float) -> float:
+        return capture_fused._noise((0.0, 0.0, sigma, 0.0, gain, 0.0, 0.0, sigma_low, 0.0), None, False)[1]
+
+    one = margin(1.0, 1.0, 0.0)
+    assert one > 0
+    assert margin(3.0, 1.0, 2.0) == margin(2.0, 1.0, 3.0) == pytest.approx(3 * one)
+    assert margin(3.0, 5.0, 2.0) == pytest.approx(15 * one)

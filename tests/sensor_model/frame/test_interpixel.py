@@ -26,6 +26,17 @@ def test_without_noise_the_means_are_those_of_the_effect(seed: int) -> None:
     np.testing.assert_allclose(spread, 0, atol=1e-6)
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_no_variance_falls_below_zero(seed: int) -> None:
+    """Pixels about full, whose excess scatters less once charge has arrived than before."""
+    rng = np.random.default_rng(seed)
+    mu, variance = rng.uniform(1500, 2600, (9, 4, 1)), rng.uniform(0, 9e4, (9, 4, 1))
+    held, spread = bloomed(mu, variance, FULL)
+    assert spread.min() >= 0
+    assert np.isfinite(held).all()
+    assert held.max() <= FULL
+
+
 def test_coupling_adds_variances_with_the_squares_of_its_shares() -> None:
     rng = np.random.default_rng(0)
     variance = rng.uniform(1, 9, (4, 5, 1))

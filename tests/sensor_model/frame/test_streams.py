@@ -29,6 +29,11 @@ def test_a_crop_draws_what_the_whole_frame_draws_there():
     np.testing.assert_array_equal(crop, whole[4:13, 7:18])
 
 
+def test_both_halves_of_a_seed_are_the_key():
+    assert Draws(seed=5).key == (5, 0)
+    assert Draws(seed=(7 << 32) + 5).key == (5, 7)
+
+
 def test_streams_are_uniform_and_uncorrelated():
     n = 256 * 256
     base = {"seed": 1, "view": 2, "frame": 3}

@@ -41,7 +41,10 @@ def test_the_excess_is_the_difference_of_the_true_errors_within_its_standard_err
     verdict = compare(far, near, data, CURVE, even)
     there = data.held[..., None].expand_as(truth)
     slope = CURVE.slope((far + near) / 2)
-    errors = [((CURVE.light(x) - CURVE.light(truth)) / slope).square()[there].mean() for x in (far, near)]
+    exact = 0.01 / (0.01 + 0.1**2 / slope.square())
+    errors = [
+        (exact * ((CURVE.light(x) - CURVE.light(truth)) / slope).square())[there].mean() for x in (far, near)
+    ]  # fmt: skip
     assert verdict.excess == pytest.approx(float(errors[0] - errors[1]), abs=4 * verdict.deviation)
     assert verdict.worse
     assert not compare(near, far, data, CURVE, even).worse
@@ -66,7 +69,8 @@ def test_excess_and_standard_error_are_those_of_a_loop_over_the_held_out_data() 
             slope = 3 * math.exp(3 * (r + s) / 2) / math.expm1(3)
             if not math.isnan(datum):
                 errors = [((datum - light) / slope) ** 2 for light in (first, second)]
-                differences.append((errors[0] - errors[1]) * float(weights[0, y, x, c]))
+                exact = 0.01 / (0.01 + 0.1**2 / slope**2)
+                differences.append((errors[0] - errors[1]) * float(weights[0, y, x, c]) * exact)
     verdict = compare(a, b, data, CURVE, weights)
     assert verdict.excess == pytest.approx(statistics.mean(differences), rel=1e-4)
     assert verdict.deviation == pytest.approx(statistics.stdev(differences) / math.sqrt(len(differences)), rel=1e-4)
@@ -75,6 +79,26 @@ def test_excess_and_standard_error_are_those_of_a_loop_over_the_held_out_data() 
 @pytest.mark.parametrize(("excess", "worse"), [(0.19, False), (0.21, True), (-0.5, False)])
 def test_worse_is_what_exceeds_two_standard_errors(excess: float, worse: bool) -> None:
     assert Verdict(excess, 0.1).worse is worse
+
+
+def test_the_noise_of_the_dark_does_not_drown_what_bright_pixels_say() -> None:
+    """Half of the picture is so dark that its noise is fifty times the tones' range; the other half decides."""
+    generator = torch.Generator().manual_seed(6)
+    truth = torch.cat([torch.zeros(1, 40, 20, 3), torch.ones(1, 40, 20, 3)], 2)
+    near, far = (truth + error * torch.randn(truth.shape, generator=generator) for error in (0.02, 0.15))
+    curve = ToneCurve(top=1.0, k=7.0)
+    sigma = 50 * float(curve.slope(torch.zeros(())))
+    zero, never = (0.0,) * 3, (math.inf,) * 3
+    noise = NoiseCurve(
+        black=zero, white=(1.0,) * 3, offset=(sigma**2,) * 3, slope=zero, quadratic=zero, switch=never, step=zero
+    )
+    light = curve.light(truth) + sigma * torch.randn(truth.shape, generator=generator)
+    data = LightMeasurements(
+        light=light, held=torch.ones(1, 40, 40, dtype=torch.bool), noise=Variance(noise), white=torch.full((3,), 9.0),
+        matrix=None,
+    )  # fmt: skip
+    verdict = compare(far, near, data, curve, torch.ones_like(truth))
+    assert verdict.excess > 5 * verdict.deviation
 
 
 def test_data_that_fits_have_seen_have_no_say() -> None:

@@ -13,7 +13,7 @@ from novags.methods.denoised.measured import measured
 from novags.methods.noise import Variance, camera_noise
 from novags.methods.nova_plus.average import averages
 from novags.methods.nova_plus.data import LightMeasurements, exposures
-from novags.methods.nova_plus.targets import denoised_light, guided_light
+from novags.methods.nova_plus.targets import LEFT, denoised_light, guided_light, towards
 from novags.methods.problem import Problem, RawPictures
 from novags.methods.tone import ToneCurve
 from novags.splats.views import Views
@@ -89,17 +89,56 @@ def test_the_denoiser_sees_neither_what_is_held_out_nor_what_was_not_measured(na
     assert not torch.equal(stacked(denoised_light(data, 2 * truth, config, seed=1)), found[0])
 
 
-def test_guided_light_is_a_mixture_of_averages_and_guide_in_light() -> None:
-    curve, sigma = ToneCurve(top=1.0, k=4.0), 0.05
+def noisy(truth: torch.Tensor, sigma: float) -> LightMeasurements:
+    """Data of equal noise everywhere; every third row is held out."""
     noise = NoiseCurve(
         black=(0.0,) * 3, white=(1.0,) * 3, offset=(sigma**2,) * 3, slope=(0.0,) * 3, quadratic=(0.0,) * 3,
         switch=(np.inf,) * 3, step=(0.0,) * 3,
     )  # fmt: skip
-    light = 0.5 + sigma * torch.randn(2, 24, 24, 3, generator=torch.Generator().manual_seed(0))
-    held = torch.zeros(2, 24, 24, dtype=torch.bool)
+    light = truth + sigma * torch.randn(truth.shape, generator=torch.Generator().manual_seed(0))
+    held = torch.zeros(truth.shape[:3], dtype=torch.bool)
     held[:, ::3] = True
-    data = LightMeasurements(light=light, held=held, noise=Variance(noise), white=torch.full((3,), 10.0), matrix=None)
-    guide = curve.tone(torch.full_like(light, 0.5))
-    average = averages(guide, torch.where(held[..., None], torch.nan, light), h=0.05, patch=1).mean(curve.light(guide))
-    found = guided_light(guide, data, curve, 0.05, 0.25)
-    torch.testing.assert_close(found, 0.25 * average + 0.75 * 0.5, rtol=1e-4, atol=1e-5)
+    return LightMeasurements(light=light, held=held, noise=Variance(noise), white=torch.full((3,), 10.0), matrix=None)
+
+
+@pytest.mark.parametrize("least", [0.0, 0.9, 1.0])
+def test_guided_light_is_a_mixture_of_averages_and_guide_in_light(least: float) -> None:
+    curve, sigma, level = ToneCurve(top=1.0, k=4.0), 0.1, 0.01
+    data = noisy(torch.full((2, 24, 24, 3), level), sigma)
+    guide = curve.tone(torch.full_like(data.light, level))
+    sums = averages(guide, data.fitted, h=0.05, patch=1)
+    found = guided_light(guide, data, curve, 0.05, 0.25, least)
+    slope = 4 * (level + 1 / np.expm1(4))
+    share = (0.01 / (0.01 + sigma**2 * sums.variance / slope**2)).clamp_min(least)
+    assert least == 1 or float(share.min()) < 0.99
+    torch.testing.assert_close(found, level + 0.25 * share * (sums.mean(data.light) - level), rtol=1e-4, atol=1e-5)
+
+
+def test_light_moves_to_an_estimate_as_far_as_its_variance_in_tone_allows() -> None:
+    curve = ToneCurve(top=2.0, k=5.0)
+    light, estimate = torch.tensor([0.0, 0.3, 1.5]), torch.tensor([-0.1, 0.5, 1.0])
+    knee = 2.0 / np.expm1(5.0)
+    for variance in (0.0, 1e-4, 1.0):
+        for least in (0.0, 0.2):
+            found = towards(light, estimate, torch.full((3,), variance), curve, least)
+            for i in range(3):
+                slope = 5.0 * (float(light[i]) + knee)
+                share = max(least, 0.01 / (0.01 + variance / slope**2))
+                want = float(light[i]) + share * float(estimate[i] - light[i])
+                assert float(found[i]) == pytest.approx(want, rel=1e-5, abs=1e-7)
+
+
+@pytest.mark.parametrize(("level", "gain"), [(0.002, 10.0), (0.3, 0.9)], ids=["dark", "bright"])
+def test_shares_by_variance_keep_dark_targets_near_the_guide_and_leave_bright_ones(level: float, gain: float) -> None:
+    """The logarithm falls fastest below zero, where noisy estimates of the dark lie: squared error in tone."""
+    curve, truth = ToneCurve(top=1.0, k=6.0), torch.full((2, 24, 24, 3), level)
+    data = noisy(truth, 0.02)
+    guide = curve.tone(truth) + 0.02
+
+    def error(least: float) -> float:
+        light = guided_light(guide, data, curve, 0.02, 0.5, least)
+        light = light + (towards(light, data.light, LEFT * data.noise(light), curve, least) - light) / 3
+        return float((curve.tone(light) - curve.tone(truth)).square().mean())
+
+    assert error(1.0) / error(0.0) > gain
+    assert error(0.0) <= error(0.2) <= error(1.0) or level > 0.1

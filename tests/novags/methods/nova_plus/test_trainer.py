@@ -209,8 +209,9 @@ def test_noise_can_be_taken_from_the_pictures_and_must_come_from_somewhere(dark:
     [
         ("seeds", 0, "seeds must be >= 1, got 0"),
         ("held_share", 1.0, "held_share must lie in"),
-        ("averaged_share", 1.5, "averaged_share and denoised_share must lie in"),
-        ("denoised_share", -0.5, "got 0.5 and -0.5"),
+        ("averaged_share", 1.5, "averaged_share, denoised_share and least_share must lie in"),
+        ("denoised_share", -0.5, "got 0.5, -0.5 and 1.0"),
+        ("least_share", 1.1, "and 1.1"),
         ("bandwidth", 0.0, "bandwidth must be > 0 or None, got 0"),
         ("gaussians", 0, "gaussians must be >= 1 or None, got 0"),
     ],

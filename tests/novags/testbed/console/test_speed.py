@@ -63,6 +63,10 @@ def test_views_are_as_wide_as_said_and_of_the_shape_of_the_capture(run: Path, mo
     monkeypatch.setattr(GaussianScene, "render", watched)
     speed.frames_per_second(run / "point_cloud.ply", run / "cameras.json", {})
     assert {(views.width, views.height) for views in drawn} == {(160, 120), (800, 600)}
+    camera = read_record_of(run)[0]
+    for views in drawn:  # all see as much
+        scale = views.width / camera["width"]
+        assert views.Ks[0].diagonal().tolist() == pytest.approx([scale * camera["fx"], scale * camera["fy"], 1])
     times = [sum(views.width == width for views in drawn) for width in speed.WIDTHS]
     assert all(2 <= count <= 1 + speed.FRAMES for count in times)  # one that warms up, and one that is timed, at least
 

@@ -34,6 +34,8 @@ def test_every_named_data_set_that_is_not_there_is_told_and_no_other(folder: Any
     assert folder.absent([f"{DATA}{SECOND}/bike", f"{DATA}{others[0].lower()}/x"]) == others[:1]
     assert folder.absent([f"{DATA}{name}/x" for name in DATASETS]) == others
     assert folder.absent(["tabletop", f"{DATA}{FIRST}/*"]) == []
+    for name in SCENES:  # one scene is enough
+        assert FIRST not in replace(folder, scenes={name: folder.root}).absent([f"{DATA}{name.partition('/')[0]}/*"])
     with pytest.raises(ValueError, match="no scene begins with"):
         folder.absent(["tabletop"])
     message = named.expected(others[:1] + [FIRST])

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from novags.testbed.metrics.differences import (
     LEVEL,
@@ -163,4 +164,8 @@ def test_a_study_sees_the_difference_that_it_says_it_can_see(scenes: int, seeds:
         seen.append(isinstance(found, Estimate) and found.seen)
     assert np.mean(seen) == pytest.approx(POWER, abs=0.1)
     assert smallest_seen(1, 1, 1, spread) is None
+    freedom = scenes - 1 if scenes > 1 else views - 1
+    within = spread.seeds**2 / seeds + spread.views**2 / (seeds * views)
+    error = np.sqrt((spread.scenes**2 + within) / scenes if scenes > 1 else within)
+    assert least == pytest.approx((stats.t.ppf(0.975, freedom) + stats.t.ppf(POWER, freedom)) * error, rel=1e-6)
     assert quantile(1e9) == pytest.approx(1.96, abs=1e-3)

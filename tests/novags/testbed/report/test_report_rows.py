@@ -131,6 +131,15 @@ def test_a_made_up_colour_is_a_little_lighter_and_neither_dark_nor_pale(color: s
     assert colorsys.rgb_to_hls(red, green, blue)[1] == pytest.approx(light, abs=0.01)
 
 
+@pytest.mark.parametrize("color", ["#e0e0ff", "#f5c040", "#9ecae1", "#888888"])
+def test_what_a_pale_colour_is_changed_to_is_no_grey(color: str) -> None:
+    used = [color]
+    for _ in range(4):
+        used.append(distinct(color, used))
+        parts = [int(used[-1][i : i + 2], 16) for i in (1, 3, 5)]
+        assert max(parts) - min(parts) > 0.42 * max(parts)
+
+
 def test_every_method_variant_and_program_of_a_study_has_a_look_of_its_own() -> None:
     study = {"variant": {"mine": {"method": "naive", "fit": {"iterations": 3}}, "other": {"method": "oracle"}},
              "method": {"theirs": {}}}  # fmt: skip

@@ -84,6 +84,7 @@ def test_every_training_view_is_prepared_with_all_that_is_known_of_it(capture: P
             (problem.raw.dn, opened.raw))  # fmt: skip
     for found, read in held:
         np.testing.assert_array_equal(found, np.stack([read(i) for i in train]).astype(np.float32))
+    assert problem.exposures == tuple(opened.record.uneven.times(i) for i in train)
     assert (problem.raw.cfa, problem.raw.black, problem.raw.white) == opened.levels
     assert problem.raw.black < problem.raw.white
     lit = opened.source(QUIET)

@@ -37,6 +37,8 @@ def test_a_network_in_two_files_is_read_from_both_and_known_by_both(tmp_path):
     save_file({"b": torch.ones(3)}, files[1])
     after = digest_of(files)
     assert len({before, after, digest_of(files[:1]), digest_of(files[::-1])}) == 4
+    save_file({"a": torch.zeros(2)}, files[0])
+    assert digest_of(files) not in (before, after)
 
 
 class Runs:

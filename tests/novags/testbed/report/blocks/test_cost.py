@@ -59,8 +59,8 @@ def test_every_stage_has_a_row_and_any_that_was_done_often_a_count(
     assert found["shared"] == (max(counts) > 1)
 
 
-def of(folder: Path, name: str, capture: str, seconds: float, **more: Any) -> Any:
-    """The records of a run; those of its capture and of the set that all share."""
+def of(folder: Path, name: str, capture: str, seconds: float, of_set: str = "set", **more: Any) -> Any:
+    """The records of a run, of its capture and of its set."""
     parts = {"fit": seconds / 2, "denoise": seconds / 4}
     record = {"stage": {"seconds": seconds, "peak_bytes": 1}, "seconds": parts}
     (folder / name).mkdir()
@@ -70,18 +70,18 @@ def of(folder: Path, name: str, capture: str, seconds: float, **more: Any) -> An
     )
     captured, rendered = {"stage": {"seconds": 3.0, "peak_bytes": 5}}, {"stage": {"seconds": 7.0, "peak_bytes": 6}}
     return SimpleNamespace(
-        run=made, name=name, capture=Path(capture), set=Path("set"), captured=captured | more, rendered=rendered
+        run=made, name=name, capture=Path(capture), set=Path(of_set), captured=captured | more, rendered=rendered
     )
 
 
 def test_every_stage_of_every_run_counts_and_what_is_shared_counts_once(tmp_path: Path) -> None:
-    made = {1: of(tmp_path, "a-1", "c1", 8.0), 2: of(tmp_path, "b-1", "c1", 16.0), 3: of(tmp_path, "a-2", "c2", 32.0),
-            4: of(tmp_path, "b-2", "c3", 4.0, kind="imported")}  # fmt: skip
+    made = {1: of(tmp_path, "a-1", "c1", 8.0, "other"), 2: of(tmp_path, "b-1", "c2", 16.0),
+            3: of(tmp_path, "a-2", "c2", 32.0), 4: of(tmp_path, "b-2", "c3", 4.0, kind="imported")}  # fmt: skip
     looks = {"a": SimpleNamespace(key="key-a"), "b": SimpleNamespace(key="key-b")}
     material: Any = SimpleNamespace(made=made, looks=looks, study=None, called=lambda each: each.run.name)
     found = {row["label"]: row for row in costs(material)}
     assert {label: (row["count"], row["seconds"], row["peak"]) for label, row in found.items()} == {
-        "render": (1, 7.0, 6), "capture": (2, 6.0, 5), "import": (1, 3.0, 5), "reconstruct: a": (2, 40.0, 3200),
+        "render": (2, 14.0, 6), "capture": (2, 6.0, 5), "import": (1, 3.0, 5), "reconstruct: a": (2, 40.0, 3200),
         "reconstruct: b": (2, 20.0, 1600), "score": (1, 2.0, 9),
     }  # fmt: skip
     assert found["reconstruct: a"]["parts"] == {"fit": 20.0, "denoise": 10.0}

@@ -152,6 +152,24 @@ def test_the_best_is_marked_where_another_is_seen_to_be_worse(ranks: tuple[int, 
     assert rows[0].cells[0].text == ("1=" if ranks == (1, 1) else "1")
 
 
+def test_a_line_is_compared_with_all_lines_of_its_place_and_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    near: dict[str, list[int]] = {}
+    lines = [line(k // 2, "ab"[k % 2], {"run": k, "state": "done"}, **{"lit.psnr": (20.0, None)}) for k in range(4)]
+    for k, each in enumerate(lines):
+        each.places["lit.psnr"] = k
+
+    def seen(line: Line, material: Any, page: Any, axes: Any, columns: Any, main: str, places: Any) -> Any:
+        near[f"{line.method}{line.place['level']}"] = [each["lit.psnr"] for each in places]
+        return scores.TableRow(["", "", "", "", ""])
+
+    monkeypatch.setattr(scores, "_line", seen)
+    looks = {name: look(name) for name in "ab"}
+    material: Any = SimpleNamespace(one=None, lines=lines, rows=[], varied=["level"], looks=looks, lost=0, study=None,
+                                    made={}, commands={}, path=Path("g/report.html"))  # fmt: skip
+    scores.scores(material, SimpleNamespace(views={}))  # type: ignore[arg-type]
+    assert near == {"a0": [0, 1], "b0": [0, 1], "a1": [2, 3], "b1": [2, 3]}
+
+
 def test_a_line_of_several_axes_has_a_cell_for_each() -> None:
     material: Any = SimpleNamespace(looks={"a": look("a")}, commands={})
     page: Any = SimpleNamespace(views={})
