@@ -256,3 +256,8 @@ def test_an_effect_from_outside_moves_mean_and_variance_by_its_electrons_in_code
     )
     np.testing.assert_allclose(hazy.mean_dn - plain.mean_dn, 1.3 * (20 + 0.1 * charge), rtol=1e-3)
     np.testing.assert_allclose(hazy.variance_dn - plain.variance_dn, 1.3**2 * (3 + 0.2 * charge), rtol=1e-2)
+    full = [
+        expose(np.full((1, 1), 4000 / 0.6), Sensor(**BASE, effects=effects), EXPOSURE, seed=0, view=0).mean_dn.item()
+        for effects in ({}, {"haze": {}})
+    ]
+    assert full[1] - full[0] == pytest.approx(1.3 * (20 + 0.1 * BASE["mu_e_sat"]), rel=1e-3)

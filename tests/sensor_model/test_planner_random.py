@@ -303,7 +303,9 @@ def test_codes_are_coarse_where_shot_and_read_noise_leave_more_than_a_thousandth
 def test_codes_of_the_low_gain_are_coarse_or_fine_from_its_threshold_on(threshold: float, coarse: bool) -> None:
     """The high gain, of 4 DN/e-, reads 1 e- with more noise than that; the low one has 0.25 DN/e-."""
     low = DualGain(threshold=threshold, sigma_d=0.0, ratio=16.0)
-    assert planner._is_coarse(replace(CAMERA, gain=4.0, dual_gain=low), 1.0, 100.0) == coarse
+    sensor = replace(CAMERA, gain=4.0, dual_gain=low)
+    assert planner._is_coarse(sensor, 1.0, 100.0) == coarse
+    assert not planner._is_coarse(sensor, 8.0, 100.0)  # where no signal is as low as the threshold
 
 
 def test_coarse_codes_of_the_darkest_signal_count_beside_bright_ones() -> None:
