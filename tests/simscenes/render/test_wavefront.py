@@ -13,7 +13,7 @@ from simscenes.loading.load import LoadedScene, build_scene
 from simscenes.render import radiance, wavefront
 from simscenes.render.radiance import RenderedView, RenderMethod
 from simscenes.render.sensors import sensor_dict
-from simscenes.render.sequences import LEAST, Sequences, _shares_around, good_counts, pooled, sample_shares
+from simscenes.render.sequences import AROUND, LEAST, Sequences, _shares_around, good_counts, pooled, sample_shares
 from simscenes.rigs import intrinsics, look_at
 
 pytestmark = pytest.mark.usefixtures("jit")
@@ -144,6 +144,16 @@ def test_a_render_to_a_target_is_unbiased_and_its_variance_true() -> None:
     stated = np.array([r.variance.mean() for r in runs])
     assert stated.mean() == pytest.approx(true.mean(), rel=5 * np.sqrt(2 / (n - 1) / 10))  # some 10 pixels dominate
     assert all(r.error <= 0.03 for r in runs)
+
+
+@pytest.mark.parametrize("width", AROUND)
+def test_a_pixel_that_alone_is_noisy_leaves_all_shares_finite(width: float) -> None:
+    """Its neighbours' variance is its own taken from a sum of nothing else: rounding errors of either sign."""
+    rng = np.random.default_rng(0)
+    for _ in range(40):
+        variance = np.zeros((24, 24))
+        variance[tuple(rng.integers(24, size=2))] = rng.uniform(0.1, 9)
+        assert np.isfinite(_shares_around(variance, width)).all()
 
 
 def test_sequences_add_up_like_numpy() -> None:
