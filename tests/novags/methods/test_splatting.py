@@ -43,6 +43,14 @@ def rendered(g: Gaussians, views: Views, splatting) -> torch.Tensor:
     return rasterize(*values, sh_degree=0, **splatting)[0]
 
 
+def test_colours_go_through_the_matrix_of_the_camera_once():
+    gaussians, views, _ = scene()
+    matrix = torch.tensor([[0.5, 0.25, 0.0], [0.0, 1.0, 0.5], [0.25, 0.0, 0.75]])
+    plain, seen = (GaussianScene.of(gaussians, config_of(USUAL, extent=views.extent)) for _ in range(2))
+    found = dataclasses.replace(seen, matrix=matrix).render(views)[0]
+    torch.testing.assert_close(found, torch.einsum("ij,chwj->chwi", matrix, plain.render(views)[0]))
+
+
 @pytest.mark.parametrize("splatting", [SMALL, SHARP, USUAL], ids=["small", "antialiased", "usual"])
 @pytest.mark.parametrize("path", ["direct", "autograd", "torch"])
 def test_the_loss_of_an_iteration_is_that_of_the_picture_so_rendered(splatting, path):

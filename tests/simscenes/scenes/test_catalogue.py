@@ -14,6 +14,7 @@ from simscenes.loading.reference import SceneRef
 from simscenes.render.geometry import geometry_channels
 from simscenes.scenes.parts import textures as t
 from simscenes.scenes.parts.sculpture import Stone
+from simscenes.scenes.parts.shapes import lathe
 from simscenes.transport import pilot
 from simscenes.transport.effects import DEEPEST, depth_effects, media_effects
 from simscenes.transport.pilot import RR_DEPTH, Pilot
@@ -91,6 +92,16 @@ def test_a_sculpture_is_turned_enlarged_and_moved_with_its_normals() -> None:
     expected = np.stack([-normals[:, 1], normals[:, 0], normals[:, 2]], -1)
     np.testing.assert_allclose(traversed(moved, "vertex_normals"), expected, atol=1e-5)
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-5)
+
+
+def test_a_lathe_leans_and_turns_once_with_its_normals() -> None:
+    """A quarter turn takes x to y and y to -x; leant by 90 degrees, its axis z points to -y first."""
+    activate()
+    profile = [(0.1, 0.0), (0.3, 0.2), (0.2, 0.6)]
+    plain, moved = lathe(profile, grey()), lathe(profile, grey(), (1.0, 2.0, 3.0), 90.0, tilt=90.0)
+    for name, shift in (("vertex_positions", (1.0, 2.0, 3.0)), ("vertex_normals", (0.0, 0.0, 0.0))):
+        x, y, z = traversed(plain, name).T
+        np.testing.assert_allclose(traversed(moved, name), np.stack([z, x, y], -1) + shift, atol=1e-5)
 
 
 def grey() -> Any:

@@ -1,6 +1,7 @@
 """What a denoiser step computes, with the network replaced by simple functions whose outcome can be worked out."""
 
 import math
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -9,7 +10,9 @@ import torch
 from novags.methods.nova import denoiser as module
 from novags.methods.nova.denoiser import Denoiser, donut_blur
 from novags.methods.nova.denoiser_config import BlindSpotConfig, DenoiserConfig, ResUNetConfig
+from novags.methods.nova.packed import packed, turned
 from novags.splats.training.flags import Flags
+from sensor_model.params import Cfa
 
 TINY = ResUNetConfig(widths=(4,), bottleneck=4, normalization="none")
 
@@ -199,3 +202,18 @@ def test_gradients_that_wait_are_saved_with_the_network():
     other.train_step()
     for a, b in zip(subject.network.parameters(), other.network.parameters(), strict=True):
         assert torch.equal(a, b)
+
+
+@pytest.mark.parametrize("turn", range(8))
+@pytest.mark.parametrize("cfa", get_args(Cfa))
+def test_turned_samples_are_those_of_a_turned_picture_cut_where_its_pattern_begins(cfa: Cfa, turn: int) -> None:
+    """Of a picture that holds its channel in every sample, red stays red."""
+    picture = torch.rand(8, 10, generator=torch.Generator().manual_seed(1))[..., None] * 0.9 + torch.arange(3.0)
+    found = turned(packed(picture[None], cfa), turn, cfa)[0]
+    moved = picture.rot90(turn % 4, (0, 1))
+    moved = moved.flip(1) if turn >= 4 else moved
+    cut = [moved[y : moved.shape[0] - y, x : moved.shape[1] - x] for y in (0, 1) for x in (0, 1)]
+    shown = [packed(each[None], cfa)[0] for each in cut]
+    letters = torch.tensor(["RGB".index(letter) for letter in cfa])
+    assert torch.equal(found.floor(), letters[:, None, None].expand_as(found).float())
+    assert any(found.shape == each.shape and torch.equal(found, each) for each in shown)

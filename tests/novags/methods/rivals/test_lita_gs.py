@@ -114,6 +114,11 @@ def test_first_gaussians_are_lit_and_show_the_first_colours_in_their_light(probl
     assert not bool(noise.any())
 
 
+def test_black_pictures_have_a_first_light_too(problem: Callable[..., Problem]) -> None:
+    inputs = problem()
+    assert bool(first(inputs, torch.zeros_like(inputs.srgb8), CONFIG).features.isfinite().all())
+
+
 def test_structures_are_those_of_light_not_of_codes(problem: Callable[..., Problem]) -> None:
     codes = problem().srgb8
     found = structures_of(codes)
