@@ -184,6 +184,24 @@ def test_lights_are_weighed_where_the_setting_says_so(bench: SceneBench, monkeyp
     assert loads == [("cornell", "scalar_rgb"), ("cornell", "scalar_spectral")]
 
 
+@pytest.mark.parametrize("seed", [0, 9])
+def test_the_seed_draws_the_weights_of_the_lamps(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[int] = []
+
+    def weighed(mi: Any, loaded: Any, rig: Any, seed: int) -> tuple[float, ...]:
+        asked.append(seed)
+        return (0.75, 0.25)
+
+    @contextmanager
+    def ready(self: SceneBench, s: Setting) -> Iterator[Any]:
+        yield "mi", "loaded"
+
+    monkeypatch.setattr(SceneBench, "ready", ready)
+    monkeypatch.setattr(curves, "light_weights", weighed)
+    assert SceneBench("cornell", 4, seed=seed).weights == (0.75, 0.25)
+    assert asked == [seed]
+
+
 def test_every_knob_is_turned_alone(bench: SceneBench, monkeypatch: pytest.MonkeyPatch) -> None:
     """Depth is measured as missing light, colours against full spectra, the rest as noise; missing variants not."""
     asked: list[tuple[Setting, int, str]] = []
