@@ -12,6 +12,7 @@ from novags.methods.denoised.denoiser import denoised
 from novags.methods.denoised.measured import measured
 from novags.methods.noise import Variance, camera_noise
 from novags.methods.nova_plus.average import averages
+from novags.methods.nova_plus.config import NovaPlusConfig
 from novags.methods.nova_plus.data import LightMeasurements, exposures
 from novags.methods.nova_plus.targets import LEFT, denoised_light, guided_light, towards
 from novags.methods.problem import Problem, RawPictures
@@ -126,6 +127,12 @@ def test_light_moves_to_an_estimate_as_far_as_its_variance_in_tone_allows() -> N
                 share = max(least, 0.01 / (0.01 + variance / slope**2))
                 want = float(light[i]) + share * float(estimate[i] - light[i])
                 assert float(found[i]) == pytest.approx(want, rel=1e-5, abs=1e-7)
+
+
+@pytest.mark.parametrize("share", [-0.1, 1.1])
+def test_a_floor_beyond_all_or_nothing_is_refused(share: float) -> None:
+    with pytest.raises(ValueError, match=f"and {share}"):
+        NovaPlusConfig(least_share=share)
 
 
 @pytest.mark.parametrize(("level", "gain"), [(0.002, 10.0), (0.3, 0.9)], ids=["dark", "bright"])

@@ -319,18 +319,6 @@ def test_dark_folders_that_cannot_be_imported_are_refused_by_name(
         brought(strangers, tmp_path / "cap", **config)
 
 
-@pytest.mark.parametrize("name", ["0001", "0005"])
-def test_a_raw_file_that_cannot_be_read_costs_no_finished_import(name: str, strangers: Path, tmp_path: Path) -> None:
-    brought(strangers, tmp_path / "cap", time=0.02)
-    before = {path: path.read_bytes() for path in (tmp_path / "cap").rglob("*") if path.is_file()}
-    shutil.copy(strangers / "raw" / "0007.dng", strangers / "raw" / "0000.dng")  # which would be written anew
-    whole = (strangers / "raw" / f"{name}.dng").read_bytes()
-    (strangers / "raw" / f"{name}.dng").write_bytes(whole[: len(whole) // 2])  # its header can be read, its pixels not
-    with pytest.raises(ValueError, match=rf"{name}\.dng"):
-        brought(strangers, tmp_path / "cap", time=0.02)
-    assert before == {path: path.read_bytes() for path in (tmp_path / "cap").rglob("*") if path.is_file()}
-
-
 def test_an_unchanged_import_is_kept_and_a_changed_picture_is_not(line: Path, strangers: Path, tmp_path: Path) -> None:
     def take() -> int:
         brought(strangers, tmp_path / "cap", lit=line / "lit")

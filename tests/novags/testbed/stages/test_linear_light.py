@@ -2,6 +2,7 @@
 
 import base64
 import re
+import shutil
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -35,6 +36,7 @@ from novags.testbed.viewer.splats import scene_of
 from simscenes import orbit_rig
 from simscenes.sets.multiview import write_cameras
 from simscenes.sets.pictures.png import read_png
+from tests.novags.testbed.stages.test_import import brought, foreign, line  # noqa: F401
 
 QUIET = Console(quiet=True)
 ENHANCE = EnhanceConfig(window=9)
@@ -200,3 +202,16 @@ def test_nothing_that_only_unfinished_work_needs_is_left(run: Run) -> None:
     assert not any((run.path / name).exists() for name in CHECKPOINTS)
     assert run.record["found"]["held_out_pixels"] > 0
     assert Path(run.path / "point_cloud.ply").is_file()
+
+
+@pytest.mark.parametrize("name", ["0001", "0005"])
+def test_a_raw_file_that_cannot_be_read_costs_no_finished_import(name: str, line: Path, tmp_path: Path) -> None:  # noqa: F811
+    strangers = foreign(tmp_path / "dark", line, "images", "raw")
+    brought(strangers, tmp_path / "cap", time=0.02)
+    before = {path: path.read_bytes() for path in (tmp_path / "cap").rglob("*") if path.is_file()}
+    shutil.copy(strangers / "raw" / "0007.dng", strangers / "raw" / "0000.dng")  # which would be written anew
+    whole = (strangers / "raw" / f"{name}.dng").read_bytes()
+    (strangers / "raw" / f"{name}.dng").write_bytes(whole[: len(whole) // 2])  # its header can be read, its pixels not
+    with pytest.raises(ValueError, match=rf"{name}\.dng"):
+        brought(strangers, tmp_path / "cap", time=0.02)
+    assert before == {path: path.read_bytes() for path in (tmp_path / "cap").rglob("*") if path.is_file()}
