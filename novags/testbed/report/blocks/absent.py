@@ -7,6 +7,7 @@ from novags.cameras import SOURCES
 from novags.cameras.spelling import source_named
 from novags.methods import METHODS
 from novags.testbed.metrics import METRICS
+from novags.testbed.metrics.truth import BIAS, ERROR, VARIANCE
 from novags.testbed.report.material import Material, RunRecords
 from novags.testbed.report.parts import Page
 from simscenes import SCENES
@@ -18,7 +19,9 @@ def absent(material: Material, page: Page) -> dict[str, Any] | None:
     """The missing rows by kind and name, each with its effect on the page; None where none is missing."""
     found = dict(fact for each in material.made.values() for fact in _of_run(each))
     scores = (column.partition(".") for row in material.rows for column in row)
-    names = dict.fromkeys(name for kind, _, name in scores if kind in PICTURES)
+    # What stands beside a score has no row of its own.
+    names = dict.fromkeys(name.removesuffix(ERROR).removesuffix(BIAS) for kind, _, name in scores
+                          if kind in PICTURES and name != VARIANCE)  # fmt: skip
     found |= {f"metric {name}": "no column: whether more of it is better is not known"
               for name in names if METRICS.get(name) is None}  # fmt: skip
     return {"facts": found} if found else None

@@ -25,5 +25,6 @@ def test_what_is_gone_is_named_whichever_run_and_column_has_it() -> None:
 
 
 def test_nothing_is_said_where_all_is_here() -> None:
-    rows = [{"enhanced.aligned_psnr": 1.0}, {"lit.psnr": 2.0}]
+    beside = {"enhanced.aligned_psnr_error": 0.1, "lit.ssim_bias": 0.0, "lit.truth_variance": 1e-5}
+    rows = [{"enhanced.aligned_psnr": 1.0}, {"lit.psnr": 2.0} | beside]
     assert absent(SimpleNamespace(made={1: made("naive")}, rows=rows), None) is None  # type: ignore[arg-type]
