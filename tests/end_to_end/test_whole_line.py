@@ -358,6 +358,7 @@ def test_a_damaged_record_gives_one_clear_error(experiment: Path, tmp_path: Path
 def test_the_report_is_one_self_contained_file(experiment: Path) -> None:
     page = (experiment / "report.html").read_text(encoding="utf-8")
     assert not re.search(r"https?://", page)
+    assert 'data-block="absent"' not in page  # all rows are here
     assert "<link" not in page
     assert "@import" not in page
     sources = re.findall(r"<img[^>]*\ssrc=\"([^\"]{0,20})", page)
