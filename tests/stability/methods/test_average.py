@@ -96,7 +96,7 @@ def alike(setting: Setting) -> float:
     return max(_averaged(2.0, [v] * 4, [0.3, -0.2, 0.1, -0.4]) for v in (1e-30, 1e-6, 1.0, 1e30))
 
 
-@PART.case("worlds from 1e-9 to 1e9 in size", bound=16 * EPS32, unit=LARGEST, backends=NUMPY)
+@PART.case("worlds from 1e-9 to 1e9 in size", bound=EPS32, unit=LARGEST, backends=NUMPY)
 def size(setting: Setting) -> float:
     """Light years or nanometres: the picture is the same."""
     return max(_averaged(depth, [0.1, 0.2, 0.3, 0.4], [0.1, 0.0, -0.1, 0.2]) for depth in (1e-9, 1e-3, 1e3, 1e9))
