@@ -151,6 +151,7 @@ class AveragedScene:
 
     def save(self, folder: Path) -> None:
         """Write the exposures with their cameras and surfaces, scene/exposures.npz."""
+        count = len(self.sources)
         parts: dict[str, Callable[[], Iterable[Array]]] = {
             "viewmats": lambda: (camera.viewmat for camera in self.sources),
             "Ks": lambda: (camera.K for camera in self.sources),
@@ -158,14 +159,18 @@ class AveragedScene:
             "planes": lambda: (camera.planes.astype("f4") for camera in self.sources),
             "exposures": lambda: (exposure.astype("f4") for exposure in self.exposures),
         }
-        # as np.savez_compressed does, which wants all of them at once
+        # as np.savez_compressed does, which wants the arrays of all views at once
         with (
             atomic(folder / "scene" / "exposures.npz") as temporary,
             zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED) as archive,
         ):
             for name, each in parts.items():
                 with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
-                    np.lib.format.write_array(file, np.stack(list(each())))
+                    for i, array in enumerate(each()):
+                        if i == 0:
+                            head = {"descr": array.dtype.str, "fortran_order": False, "shape": (count, *array.shape)}
+                            np.lib.format.write_array_header_1_0(file, head)
+                        file.write(array.tobytes())
 
     def facts(self) -> dict[str, Any]:
         """How many exposures there are, and how many pixels of all rendered views none of them sees."""

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-Stored = NDArray[np.float32]  # of all views at once: double precision would take twice the memory
 Mask = NDArray[np.bool_]
 
 GRAZING = 0.02  # cosine; planes seen more from the side are taken as facing the camera: 1/z would be a division by zero
@@ -25,13 +24,13 @@ class SurfaceCamera:
         viewmat: World to camera [4, 4].
         K: Intrinsics [3, 3].
         planes: Inverse depth of every pixel's tangent plane, [h, w, 3]: 1/z = planes . K^-1 (x, y, 1), zero for the
-            background. A relative error of 6e-8 moves no image point by a thousandth of a pixel.
+            background.
         tolerance: Relative difference of depth up to which two pixels show the same surface.
     """
 
     viewmat: Array
     K: Array
-    planes: Stored
+    planes: Array
     tolerance: float
 
     @staticmethod
@@ -48,8 +47,7 @@ class SurfaceCamera:
         turned = np.where(level[..., None], [0.0, 0.0, 1.0], turned)
         slope = np.where(level, 1.0, slope)
         near = np.where(surface, depth, np.inf).astype(np.float64)
-        planes = (turned / (slope * near)[..., None]).astype(np.float32)
-        return SurfaceCamera(viewmat, K, planes, tolerance)
+        return SurfaceCamera(viewmat, K, turned / (slope * near)[..., None], tolerance)
 
     @property
     def size(self) -> tuple[int, int]:
@@ -57,8 +55,8 @@ class SurfaceCamera:
         return self.planes.shape[0], self.planes.shape[1]
 
     @cached_property
-    def inverse_depth(self) -> Stored:
-        """1/z at the pixel centres [h, w], 0 for the background."""
+    def inverse_depth(self) -> NDArray[np.float32]:
+        """1/z at the pixel centres [h, w], 0 for the background; it says which pixels show a surface, not where."""
         return np.asarray((self.planes * rays_of(self.K, *self.size)).sum(-1), np.float32)
 
     def at(self, rows: NDArray[np.intp], points: Array) -> Array:
@@ -92,8 +90,7 @@ def seen_together(known: list[SurfaceCamera], viewmat: Array, K: Array, height: 
     # A plane seen from the side may pass the centre of its pixel far away, or not at all.
     facing = np.stack([0 * inverse, 0 * inverse, inverse], -1).reshape(height, width, 3)
     fits = same_depth((shaped * rays).sum(-1), inverse.reshape(height, width), 5 * known[0].tolerance)
-    nearest = np.where(fits[..., None], shaped, facing).astype(np.float32)
-    return SurfaceCamera(viewmat, K, nearest, known[0].tolerance)
+    return SurfaceCamera(viewmat, K, np.where(fits[..., None], shaped, facing), known[0].tolerance)
 
 
 def _brought(camera: SurfaceCamera, viewmat: Array, K: Array, height: int, width: int) -> tuple[Array, Array]:

@@ -2,6 +2,8 @@
 
 from collections.abc import Iterable
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from novags.methods.denoised.config import AdaptConfig, DenoiseConfig
 from novags.methods.denoised.denoiser import denoised
 from novags.methods.denoised.measured import measured
 from novags.methods.noise import Variance, camera_noise
+from novags.methods.nova_plus import trainer
 from novags.methods.nova_plus.average import averages
 from novags.methods.nova_plus.config import NovaPlusConfig
 from novags.methods.nova_plus.data import LightMeasurements, exposures
@@ -127,6 +130,19 @@ def test_light_moves_to_an_estimate_as_far_as_its_variance_in_tone_allows() -> N
                 share = max(least, 0.01 / (0.01 + variance / slope**2))
                 want = float(light[i]) + share * float(estimate[i] - light[i])
                 assert float(found[i]) == pytest.approx(want, rel=1e-5, abs=1e-7)
+
+
+def test_denoised_data_count_with_a_sixteenth_of_the_variance_of_the_data() -> None:
+    curve = ToneCurve(top=1.0, k=4.0)
+    data = noisy(torch.full((2, 12, 12, 3), 0.05), 0.1)
+    guide, clean = curve.tone(torch.full_like(data.light, 0.05)), torch.full_like(data.light, -0.02)
+    config = NovaPlusConfig(least_share=0.0)
+    work: Any = SimpleNamespace(data=data, curve=curve, config=config, found={}, denoised=lambda _: iter(clean))
+    found = trainer._Work.targets(work, guide, 0.05)
+    light = guided_light(guide, data, curve, 0.05, 0.5, 0.0)
+    share = 0.01 / (0.01 + 0.1**2 / 16 / (4 * (light + curve.knee)).square())
+    assert 0.2 < float(share.mean()) < 0.8
+    torch.testing.assert_close(found, curve.tone(light + share / 3 * (clean - light)), rtol=1e-4, atol=1e-5)
 
 
 @pytest.mark.parametrize("share", [-0.1, 1.1])
