@@ -85,8 +85,8 @@ def steps(size: int, rounds: int) -> list[dict[str, Any]]:
                         inference[i].append(cpu_ms(lambda d=denoiser: d.denoise(0)))
             dtype = getattr(torch, precision)
             batch = denoisers[0]._draw_batch()
-            alone = convolutions(denoisers[0].network, batch, dtype, rounds)[1]
-            whole = convolutions(denoisers[0].network, views[:1].movedim(-1, 1), dtype, rounds)[0]
+            alone = convolutions(denoisers[1].network, batch, dtype, rounds)[1]
+            whole = convolutions(denoisers[1].network, views[:1].movedim(-1, 1), dtype, rounds)[0]
             for what, times, floor in (("step", step, alone), ("inference", inference, whole)):
                 after, before = (float(np.median(t)) for t in times)
                 rows.append({"network": name, "precision": precision, "what": what, "before": before, "after": after,

@@ -42,7 +42,7 @@ class PlainResUNet(ResUNet):
 
 def _plain(layer: nn.Module) -> nn.Module:
     if isinstance(layer, Convolution):
-        edge = layer.kernel_size[0]
+        edge = layer.edge
         return nn.Conv2d(layer.in_channels, layer.out_channels, edge, padding=edge // 2, padding_mode="reflect")
     if isinstance(layer, InstanceNorm):
         return PlainNorm(layer.num_features, layer.slope)
@@ -51,11 +51,16 @@ def _plain(layer: nn.Module) -> nn.Module:
     return nn.AdaptiveAvgPool2d(1) if isinstance(layer, GlobalMean) else layer
 
 
+def torchs(tensors: dict[str, Tensor]) -> dict[str, Tensor]:
+    """Kernels [O, edge, edge, I] in torch's order, [O, I, edge, edge]; biases are as they are."""
+    return {name: value.movedim(-1, 1) if value.ndim == 4 else value for name, value in tensors.items()}
+
+
 def pair(views: Tensor, config: DenoiserConfig, *, total_steps: int = 100) -> list[Denoiser]:
     """Our denoiser and the plain one on the same views [C, H, W, 3], with the same weights and draws."""
     ours, plain = (Denoiser(views, config, total_steps=total_steps, seed=0) for _ in range(2))
     network = PlainResUNet(config.network)
-    network.load_state_dict(ours.network.state_dict())
+    network.load_state_dict(torchs(ours.network.state_dict()))
     plain.network = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     plain.optimizer = torch.optim.Adam(network.parameters(), lr=config.learning_rate)
     return [ours, plain]

@@ -19,7 +19,7 @@ from novags.splats.views import Views
 from sensor_model.files.atomic import atomic
 
 SAME_CAMERA = 1e-4  # radians, and distances between cameras: float32 rounds, and a camera source may turn the world
-ROWS = 1 << 16  # pixels that are brought at once: 1 kB each
+ROWS = 1 << 13  # pixels that are brought at once: 1 kB each, 60 kB where the other picture is eight times finer
 LEAST = 1e-12  # of a variance, as a share of the largest: exposures without any noise would be divided by zero
 
 
@@ -72,7 +72,8 @@ def average(
     rows = np.arange(target.planes[..., 0].size) if rows is None else rows
     total, weight = np.zeros((len(rows), 3)), np.zeros((len(rows), 3))
     views = np.zeros(len(rows), int)
-    for source, exposure, variance in zip(sources, exposures, variances, strict=True):
+    for kept, exposure, variance in zip(sources, exposures, variances, strict=True):
+        source = replace(kept)  # what a camera works out of its planes goes with a copy of it
         for begin in range(0, len(rows), ROWS):
             some = slice(begin, begin + ROWS)
             matrix, seen = warp(target, source, rows[some], rules)
@@ -141,7 +142,7 @@ class AveragedScene:
         for camera in self.known:
             turn, shift = _apart(camera.viewmat, viewmat)
             if turn <= SAME_CAMERA and shift <= SAME_CAMERA * reach and camera.size == (height, width):
-                return camera
+                return replace(camera)
         return seen_together(self.known, viewmat, K, height, width)
 
     def _nearest(self, target: SurfaceCamera) -> int:

@@ -48,6 +48,8 @@ def train(
         missing = ", ".join(name for name, value in wanted.items() if value is None)
         raise LacksInput(f"averaging over views by truth needs {missing}, and this capture has none")
     device = problem.views.viewmats.device
+    # Before the cameras have surfaces: for these all pictures are read, which are as large.
+    params = parameters_of_all(problem, config.enhance, config.pictures)
     known, training = cameras_of(surface, config.tolerance), surface.training
     del surface  # as large as the cameras
     noise = noise_of(problem)
@@ -55,8 +57,7 @@ def train(
     exposures, variances = _exposures(linear16.cpu(), clean.cpu(), noises, config.exposures)
 
     def enhance(dark: Tensor, view: int) -> Tensor:
-        params = parameters_of_all(problem, config.enhance, config.pictures)[view]
-        return enhanced_like(dark.to(device), config.enhance, params).cpu()
+        return enhanced_like(dark.to(device), config.enhance, params[view]).cpu()
 
     scene = AveragedScene(
         sources=[known[i] for i in training], exposures=exposures, variances=variances, known=known,

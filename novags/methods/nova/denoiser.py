@@ -64,13 +64,10 @@ class Denoiser:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             self.network = ResUNet(config.network, self.images.shape[1]).to(enhanced.device)
-        # The layout in which convolutions on a CPU are fastest.
-        self.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # torch's stubs lack this one
         if config.residual_blur is not None:
             # A network that starts at zero starts at the blur.
             for parameter in self.network.head.parameters():
                 nn.init.zeros_(parameter)
-        # Fused, which takes the memory of all its tensors as it comes: they must have one layout.
         self.optimizer = torch.optim.Adam(self.network.parameters(), lr=config.learning_rate, fused=True)
         self.flags = flags or Flags.on(enhanced.device)
         self.generator = torch.Generator(enhanced.device).manual_seed(seed)
@@ -206,9 +203,6 @@ class Denoiser:
             ValueError: If it belongs to a network of another shape, or is damaged.
         """
         unpack("denoiser", tensors, self.network, self.optimizer)
-        for parameter, moments in self.optimizer.state.items():
-            for name in ("exp_avg", "exp_avg_sq"):
-                moments[name] = torch.empty_like(parameter).copy_(moments[name])  # in the layout of the parameter
         steps, state = tensors.get("denoiser.steps"), tensors.get("denoiser.generator")
         like = self.generator.get_state()
         if state is None or state.shape != like.shape or state.dtype != like.dtype:

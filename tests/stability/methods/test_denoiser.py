@@ -35,7 +35,7 @@ class _WrittenOut:
         self.weights, self.levels, self.normalise = weights, levels, normalise
 
     def conv(self, name: str, x: Tensor) -> Tensor:
-        kernel, bias = self.weights[f"{name}.weight"], self.weights[f"{name}.bias"]
+        kernel, bias = self.weights[f"{name}.weight"].movedim(-1, 1), self.weights[f"{name}.bias"]
         if kernel.shape[-1] == 3:
             x = F.pad(x, (1, 1, 1, 1), mode="reflect")
         # a sum over shifted images instead of a convolution

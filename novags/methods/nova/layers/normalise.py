@@ -2,7 +2,8 @@
 
 torch's own turns maps whose channels lie beside each other into another layout and back, and its batch normalisation,
 which does not, sums so many pixels in float32 that maps of a small deviation lose half of their digits. Here sums are
-float64 over runs of RUN pixels in float32, and squares are taken from the mean.
+float64 over runs of RUN pixels in float32, and squares are taken from the mean. Maps in bfloat16 are read and written
+as such, and computed with in float32.
 """
 
 # mypy: allow-untyped-defs
@@ -13,7 +14,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from novags.splats.cpu.compiler import kernel
+from novags.methods.nova.layers.precision import beside, itself, kept, memory, rounded, widened
+from novags.splats.cpu.compiler import inline, kernel
 from novags.splats.cpu.parallel import run
 
 RUN = 64
@@ -27,7 +29,7 @@ def normalised(x: Tensor, slope: float) -> Tensor:
     """Maps of mean 0 and deviation 1, those that are constant up to rounding 0; below zero times a slope.
 
     Args:
-        x: [B, D, H, W] float32, on a CPU.
+        x: [B, D, H, W] float32 or bfloat16, on a CPU.
         slope: Of the rectifier; 1 for none.
     """
     return _Normalised.apply(x, slope)
@@ -39,7 +41,8 @@ class _Normalised(torch.autograd.Function):
         x = x.contiguous(memory_format=torch.channels_last)
         y = torch.empty_like(x)
         mean, scale = (np.empty((len(x), x.shape[1]), np.float32) for _ in range(2))
-        run(forward, x.shape[1], GRAIN, _pixels(x), np.float32(slope), _pixels(y), mean, scale)
+        work = forward if x.dtype == torch.float32 else forward_bfloat16
+        run(work, x.shape[1], GRAIN, _pixels(x), np.float32(slope), _pixels(y), mean, scale)
         ctx.save_for_backward(x)
         ctx.rest = np.float32(slope), mean, scale
         return y
@@ -49,29 +52,30 @@ class _Normalised(torch.autograd.Function):
         (x,) = ctx.saved_tensors
         gradient = gradient.contiguous(memory_format=torch.channels_last)
         found = torch.empty_like(x)
-        run(backward, x.shape[1], GRAIN, _pixels(x), _pixels(gradient), *ctx.rest, _pixels(found))
+        work = backward if x.dtype == torch.float32 else backward_bfloat16
+        run(work, x.shape[1], GRAIN, _pixels(x), _pixels(gradient), *ctx.rest, _pixels(found))
         return found, None
 
 
 def _pixels(x: Tensor) -> np.ndarray:
-    """The memory of maps [B, D, H, W], channels last, as [B, H W, D]."""
-    return x.detach().permute(0, 2, 3, 1).flatten(1, 2).numpy()
+    """[B, H W, D]."""
+    return memory(x).reshape(len(x), -1, x.shape[1])
 
 
-@kernel
-def forward(begin, end, x, slope, y, mean, scale):
-    """Fill y [B, P, D], mean [B, D] and scale [B, D] = 1 / deviation, 0 of a constant map, in channels begin..end-1."""
-    images, pixels = x.shape[:2]
+@inline
+def _forward(begin, end, x, slope, y, mean, scale, read, place, write):
+    images, places = x.shape[:2]
     size = end - begin
     part, low, high = np.empty(size, np.float32), np.empty(size, np.float32), np.empty(size, np.float32)
+    line, result = np.empty(size, np.float32), np.empty(size, np.float32)
     total = np.empty(size, np.float64)
     for b in range(images):
         middle, factor = mean[b, begin:end], scale[b, begin:end]
         total[:], low[:], high[:] = 0, HIGHEST, -HIGHEST
-        for start in range(0, pixels, RUN):
+        for start in range(0, places, RUN):
             part[:] = 0
-            for p in range(start, min(start + RUN, pixels)):
-                row = x[b, p, begin:end]
+            for p in range(start, min(start + RUN, places)):
+                row = read(x[b, p, begin:end], line)
                 for c in range(size):
                     value = row[c]
                     part[c] += value
@@ -80,40 +84,41 @@ def forward(begin, end, x, slope, y, mean, scale):
             for c in range(size):
                 total[c] += part[c]
         for c in range(size):
-            middle[c] = total[c] / pixels
+            middle[c] = total[c] / places
         total[:] = 0
-        for start in range(0, pixels, RUN):
+        for start in range(0, places, RUN):
             part[:] = 0
-            for p in range(start, min(start + RUN, pixels)):
-                row = x[b, p, begin:end]
+            for p in range(start, min(start + RUN, places)):
+                row = read(x[b, p, begin:end], line)
                 for c in range(size):
                     part[c] += (row[c] - middle[c]) ** 2
             for c in range(size):
                 total[c] += part[c]
         for c in range(size):
             constant = high[c] - low[c] <= CONSTANT * (1 + abs(high[c]))
-            factor[c] = 0 if constant else 1 / np.sqrt(total[c] / pixels + EPS)
-        for p in range(pixels):
-            row, out = x[b, p, begin:end], y[b, p, begin:end]
+            factor[c] = 0 if constant else 1 / np.sqrt(total[c] / places + EPS)
+        for p in range(places):
+            row, out = read(x[b, p, begin:end], line), place(y[b, p, begin:end], result)
             for c in range(size):
                 value = (row[c] - middle[c]) * factor[c]
                 out[c] = value if value > ZERO else slope * value
+            write(out, y[b, p, begin:end])
 
 
-@kernel
-def backward(begin, end, x, gradient, slope, mean, scale, found):
-    """The gradient in x from the one in y, both [B, P, D], in channels begin..end-1."""
-    images, pixels = x.shape[:2]
+@inline
+def _backward(begin, end, x, gradient, slope, mean, scale, found, read, place, write):
+    images, places = x.shape[:2]
     size = end - begin
     part, along = np.empty(size, np.float32), np.empty(size, np.float32)
+    line, slope_line, result = np.empty(size, np.float32), np.empty(size, np.float32), np.empty(size, np.float32)
     total, projected = np.empty(size, np.float64), np.empty(size, np.float64)
     for b in range(images):
         middle, factor = mean[b, begin:end], scale[b, begin:end]
         total[:], projected[:] = 0, 0
-        for start in range(0, pixels, RUN):
+        for start in range(0, places, RUN):
             part[:], along[:] = 0, 0
-            for p in range(start, min(start + RUN, pixels)):
-                row, slopes = x[b, p, begin:end], gradient[b, p, begin:end]
+            for p in range(start, min(start + RUN, places)):
+                row, slopes = read(x[b, p, begin:end], line), read(gradient[b, p, begin:end], slope_line)
                 for c in range(size):
                     value = (row[c] - middle[c]) * factor[c]
                     g = slopes[c] * (ONE if value > ZERO else slope)
@@ -123,10 +128,36 @@ def backward(begin, end, x, gradient, slope, mean, scale, found):
                 total[c] += part[c]
                 projected[c] += along[c]
         for c in range(size):
-            part[c], along[c] = total[c] / pixels, projected[c] / pixels
-        for p in range(pixels):
-            row, slopes, out = x[b, p, begin:end], gradient[b, p, begin:end], found[b, p, begin:end]
+            part[c], along[c] = total[c] / places, projected[c] / places
+        for p in range(places):
+            row, slopes = read(x[b, p, begin:end], line), read(gradient[b, p, begin:end], slope_line)
+            out = place(found[b, p, begin:end], result)
             for c in range(size):
                 value = (row[c] - middle[c]) * factor[c]
                 g = slopes[c] * (ONE if value > ZERO else slope)
                 out[c] = factor[c] * (g - part[c] - value * along[c])
+            write(out, found[b, p, begin:end])
+
+
+@kernel
+def forward(begin, end, x, slope, y, mean, scale):
+    """Fill y [B, P, D], mean [B, D] and scale [B, D] = 1 / deviation, 0 of a constant map, in channels begin..end-1."""
+    _forward(begin, end, x, slope, y, mean, scale, itself, itself, kept)
+
+
+@kernel
+def forward_bfloat16(begin, end, x, slope, y, mean, scale):
+    """The same of bits of bfloat16."""
+    _forward(begin, end, x, slope, y, mean, scale, widened, beside, rounded)
+
+
+@kernel
+def backward(begin, end, x, gradient, slope, mean, scale, found):
+    """The gradient in x from the one in y, both [B, P, D], in channels begin..end-1."""
+    _backward(begin, end, x, gradient, slope, mean, scale, found, itself, itself, kept)
+
+
+@kernel
+def backward_bfloat16(begin, end, x, gradient, slope, mean, scale, found):
+    """The same of bits of bfloat16."""
+    _backward(begin, end, x, gradient, slope, mean, scale, found, widened, beside, rounded)

@@ -3,7 +3,7 @@ import torch
 
 from novags.methods.nova import resunet
 from novags.methods.nova.denoiser_config import ResUNetConfig
-from novags.methods.nova.resunet import ResUNet, SqueezeExcite
+from novags.methods.nova.resunet import Convolution, ResUNet, SqueezeExcite
 
 SMALL = ResUNetConfig(widths=(4, 6), bottleneck=8)
 
@@ -14,9 +14,7 @@ def test_default_network_is_the_papers():
     assert widths == [32, 64, 128, 256]
     assert network.bottleneck.enter[0].out_channels == 512
     assert [level.enter[0].in_channels for level in network.decoder] == [64, 128, 256, 512]
-    convolutions = [m for m in network.modules() if isinstance(m, torch.nn.Conv2d) and m.kernel_size == (3, 3)]
-    assert len(convolutions) == 9 * 3
-    assert {m.padding_mode for m in convolutions} == {"reflect"}
+    assert sum(isinstance(m, Convolution) and m.edge == 3 for m in network.modules()) == 9 * 3
     assert sum(isinstance(m, torch.nn.InstanceNorm2d) for m in network.modules()) == 9 * 3
     assert sum(isinstance(m, SqueezeExcite) for m in network.modules()) == 9
     assert network.encoder[3].residual[-1].gate[1].out_channels == 256 // 16

@@ -88,7 +88,8 @@ def network_and_weights(kind: str, blocks: str = "attention-residual", channels:
     with torch.no_grad():
         for parameter in network.parameters():
             parameter.copy_(torch.randn(parameter.shape, generator=generator, dtype=torch.float64) * 0.3)
-    return network, {name: value.numpy() for name, value in network.state_dict().items()}
+    weights = {name: value.numpy() for name, value in network.state_dict().items()}
+    return network, {name: np.moveaxis(w, -1, 1) if w.ndim == 4 else w for name, w in weights.items()}
 
 
 def image(height: int, width: int) -> np.ndarray:
