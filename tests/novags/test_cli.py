@@ -198,6 +198,14 @@ def test_a_path_that_is_not_utf8_is_refused_before_any_work(call: Call, capsys: 
     assert "is not valid UTF-8: rename that file or folder" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("words", [("ren\x07der", "a"), ("render", "a\x07"), ("render", "a", "--out", "\x07")])
+def test_a_word_that_a_terminal_would_obey_is_refused_wherever_it_stands(
+    words: tuple[str, ...], call: Call, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call(*words) == 2
+    assert "holds control characters: rename that file or folder" in capsys.readouterr().err
+
+
 def test_an_interruption_says_how_to_continue(
     call: Call, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

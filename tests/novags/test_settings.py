@@ -110,6 +110,8 @@ def test_of_several_types_each_is_tried_and_named():
     said = r"either must be a whole number or one of auto or default, .* or none.*\(did you mean auto\?\)"
     with pytest.raises(ValueError, match=said):
         changed(Outer(), {"either": "atuo"})
+    with pytest.raises(ValueError, match=r"size must be one of small, large, got 'smal' \(did you mean small\?\)"):
+        converted("smal", Literal["small", "large"], "size")
 
 
 def test_none_is_refused_where_a_part_cannot_be_off():

@@ -49,6 +49,15 @@ def test_independent_errors_are_weighted_by_inverse_variance(
     assert found.shares.tolist() == pytest.approx([share], abs=5 * deviation)
 
 
+def test_an_adaptation_that_leads_away_from_the_data_is_not_followed_and_one_that_falls_short_is_followed_whole(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(module, "LEVELS", 1)
+    before, after = torch.zeros(2), torch.ones(2)
+    for second, share in ((-3.0, 0.0), (0.25, 0.25), (4.0, 1.0)):
+        assert best_blend(before, after, torch.full((2,), second), torch.ones(2)).shares.tolist() == [share]
+
+
 def test_pixels_of_one_level_count_by_the_inverse_of_their_variance(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "LEVELS", 1)
     before, after, second = torch.zeros(2), torch.tensor([1.0, 2.0]), torch.tensor([0.2, 1.8])

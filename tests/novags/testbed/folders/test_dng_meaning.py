@@ -42,6 +42,13 @@ def test_each_place_has_its_own_black_level(tmp_path: Path) -> None:
         assert light[8:-8, 8:-8].std((0, 1)).max() < 0.001
 
 
+def test_a_camera_of_few_codes_counts_as_one_of_eight_bits(tmp_path: Path) -> None:
+    """White at 100 fits into seven bits, of which no camera is."""
+    for white, bits in ((100, 8), (255, 8), (256, 9), (4095, 12)):
+        file = write_dng(tmp_path / f"{white}.dng", mosaic_of(LIGHT, np.zeros((H, W))) // 1000, black=[0], white=white)
+        assert raw_camera(file, None, "menon").sensor.bits == bits
+
+
 @pytest.mark.parametrize("axis", [0, 1])
 def test_black_levels_that_rise_from_row_to_row_or_column_to_column_are_followed(axis: int, tmp_path: Path) -> None:
     rise = np.linspace(0, 300, (H, W)[axis])

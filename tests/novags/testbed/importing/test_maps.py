@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from novags.testbed.importing.calibration.camera import MeasuredSetting, characterise_folder
+from novags.testbed.importing.calibration.camera import MeasuredSetting, _pattern, characterise_folder
 from sensor_model import Sensor
 
 SHAPE, BLACK, GAIN, WELL = (32, 40), 100.0, 4.0, 3000.0
@@ -67,6 +67,29 @@ def test_every_fourth_frame_of_the_larger_dark_stack_is_held_out_and_told_in_fou
     own = [held.mean(), held.var((1, 2)).mean(), held.mean(2).var(1).mean(), np.quantile(held, 0.999)]
     assert [row[:17].strip() for row in rows] == ["held out", "drawn", "by numbers"]
     assert [float(value) for value in rows[0][17:].split()] == pytest.approx(own, rel=1e-4)
+
+
+def test_a_pattern_far_above_the_noise_is_kept_with_all_that_is_usual_for_it() -> None:
+    """By the noise alone, a hundredth of the pattern, three quarters of the pixels would count as far off."""
+    seen = np.random.default_rng(4).normal(size=4000)
+    seen[0] = 50.0
+    found = _pattern(seen, 1e-4)
+    assert found[0] == 50.0
+    np.testing.assert_allclose(found[1:], seen[1:], rtol=1e-3)
+    halved = _pattern(seen, 0.75)  # of a variance of 1
+    np.testing.assert_allclose(halved[1:], 0.5 * seen[1:], rtol=0.05)
+
+
+def test_flat_frames_near_saturation_make_no_map_though_there_are_more_of_them(tmp_path: Path) -> None:
+    """0.8 of the well at a gain of 4: by 0.7 of the well in codes they are too bright."""
+    bright = np.rint(BLACK + GAIN * np.random.default_rng(5).poisson(0.8 * WELL, (20, *SHAPE))).astype(np.uint16)
+    stacks = {"dark/0": frames(0.0, 16, 6), "dark/1": frames(0.0, 2, 10)}
+    stacks |= {f"flat/{k}": frames((0.2, 0.4, 0.6)[k] * WELL, 8 + 4 * k, 7 + k) for k in range(3)} | {"flat/3": bright}
+    write(tmp_path, stacks, f"bits = 14\n[camera]\neta = 0.5\ngain = {GAIN}\nmu_e_sat = {WELL}")
+    (setting,) = characterise_folder(tmp_path, maps=True).settings.values()
+    assert setting.maps is not None
+    assert setting.maps.response is not None
+    assert setting.maps.response[DEAD].max() < 0.01  # the bright frames are of a sensor without these
 
 
 def test_noise_that_is_mostly_below_a_code_leaves_no_pattern_in_maps(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from novags.testbed import stages  # noqa: E402
 from novags.testbed.console.terminal import Console  # noqa: E402
 from novags.testbed.folders.runs import runs_in  # noqa: E402
 from novags.testbed.metrics.differences import Estimate  # noqa: E402
-from novags.testbed.report.page import write_reports  # noqa: E402
+from novags.testbed.report.page import report_path, write_reports  # noqa: E402
 from novags.testbed.report.place import places_in, title_of  # noqa: E402
 from novags.testbed.stages.configs.capturing import CaptureConfig  # noqa: E402
 from tests.fuzz.readers.records import make_run  # noqa: E402
@@ -60,6 +60,13 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     table = (folder / "one" / "results.json").read_text()
     (folder / "one" / "results.json").write_text(table.replace('"naive"', '"naive-l1"'))
     return folder
+
+
+def test_a_page_on_several_folders_goes_where_all_of_them_lie(tmp_path: Path) -> None:
+    assert report_path([tmp_path / "a"]) == tmp_path / "a" / "report.html"
+    assert report_path([tmp_path / "b" / "x", tmp_path / "b" / "y"]) == tmp_path / "b" / "comparison.html"
+    for folders in ([tmp_path / "x", tmp_path / "b" / "y"], [tmp_path / "b" / "y", tmp_path / "x"]):
+        assert report_path(folders) == tmp_path / "comparison.html"
 
 
 def values(found: dict[str, Estimate]) -> dict[str, float]:

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from novags.testbed.report.blocks import look as module
-from novags.testbed.report.blocks.look import look, short_names
+from novags.testbed.report.blocks.look import look, short_names, strip_of
 
 
 def test_views_are_called_by_what_tells_them_apart() -> None:
@@ -18,6 +18,22 @@ def test_views_are_called_by_what_tells_them_apart() -> None:
     long = "set, {} electrons, a7s2-iso6400-3chip, view {}"
     assert names((long.format(5, "0000"), True), (long.format(20, "0000"), True)) == ["5 electrons", "20 electrons"]
     assert names(("0000", True)) == ["0000 · held out"]
+
+
+def test_the_film_strip_goes_from_the_dark_to_the_truth_as_far_as_pictures_are_there(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(module, "compared", lambda place: ("render-naive", "render-nova"))
+    monkeypatch.setattr(module, "leading", lambda place: ("enhanced", "", ""))
+
+    def shown(*keys: str) -> list[str]:
+        view: Any = SimpleNamespace(tiles=[SimpleNamespace(key=key) for key in keys])
+        return [tile.key for tile in strip_of(SimpleNamespace(), view).tiles]  # type: ignore[arg-type]
+
+    every = ("truth-lit", "truth-enhanced", "render-nova", "other", "dark", "render-naive")
+    assert shown(*every) == ["dark", "render-naive", "render-nova", "truth-enhanced"]
+    assert shown("truth-lit", "render-nova", "dark") == ["dark", "render-nova", "truth-lit"]
+    assert shown("render-nova") == ["render-nova"]
 
 
 RUNS = {"one": ("a", "b"), "two": ("b", "c")}
