@@ -4,8 +4,9 @@
     novags capture SET --out CAPTURE
     python scripts/bench_memory.py CAPTURE --out DIR
 
-Every large array is there after a few iterations, so a reconstruction is stopped early (`--iterations`). A row gives
-the largest resident memory of the process while it trained and rendered, as /proc has it, and the forecast before.
+Every large array is there after a few iterations, so a reconstruction is stopped early (`--iterations`), and if wanted
+after the first views that it rendered (`--views`). A row gives the largest resident memory of the process while it
+trained and rendered, as /proc has it, and the forecast before.
 """
 
 import argparse
@@ -41,14 +42,20 @@ def measured(capture: Path, name: str, options: argparse.Namespace) -> dict[str,
         command += ["--points", str(options.points)]
         began = time.perf_counter()
         process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
-        peak = 0
+        peak, ended = 0, False
         while process.poll() is None:
             peak = max(peak, high_water_mark(process.pid))
+            if options.views and len(list(Path(folder, "run").rglob("*.png"))) >= options.views:
+                process.terminate()
+                ended = True
+                break
             time.sleep(LOOK)
+        process.wait()
         said = process.stdout.read() if process.stdout else ""
     forecast = re.search(r"memory ([\d.]+) GB", said)
     return {
-        "method": name, "peak_bytes": peak, "seconds": time.perf_counter() - began, "status": process.returncode,
+        "method": name, "peak_bytes": peak, "seconds": time.perf_counter() - began,
+        "status": 0 if ended else process.returncode,
         "forecast_bytes": float(forecast[1]) * 1e9 if forecast else None, "said": said.splitlines()[-1:],
     }  # fmt: skip
 
@@ -70,6 +77,7 @@ def main() -> None:
     parser.add_argument("--iterations", type=int, default=12)
     parser.add_argument("--denoiser-steps", type=int, default=4)
     parser.add_argument("--points", type=int, default=100_000)
+    parser.add_argument("--views", type=int, help="rendered views after which a run is ended")
     parser.add_argument("--out", type=Path, help="folder for memory.json")
     options = parser.parse_args()
     rows = []

@@ -1,5 +1,6 @@
 """The training exposures as a scene: they are brought to any requested camera and averaged."""
 
+import math
 import zipfile
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
@@ -69,11 +70,10 @@ def average(
         rules: When a view counts as seeing a pixel.
         rows: Flat indices [n] of the wanted pixels; None: all.
     """
-    rows = np.arange(target.planes[..., 0].size) if rows is None else rows
+    rows = np.arange(math.prod(target.size)) if rows is None else rows
     total, weight = np.zeros((len(rows), 3)), np.zeros((len(rows), 3))
     views = np.zeros(len(rows), int)
-    for kept, exposure, variance in zip(sources, exposures, variances, strict=True):
-        source = replace(kept)  # what a camera works out of its planes goes with a copy of it
+    for source, exposure, variance in zip(map(replace, sources), exposures, variances, strict=True):
         for begin in range(0, len(rows), ROWS):
             some = slice(begin, begin + ROWS)
             matrix, seen = warp(target, source, rows[some], rules)
@@ -157,7 +157,7 @@ class AveragedScene:
             "viewmats": lambda: (camera.viewmat for camera in self.sources),
             "Ks": lambda: (camera.K for camera in self.sources),
             "variances": lambda: (variance.astype("f4") for variance in self.variances),
-            "planes": lambda: (camera.planes.astype("f4") for camera in self.sources),
+            "planes": lambda: (camera.planes.astype("f4") for camera in map(replace, self.sources)),
             "exposures": lambda: (exposure.astype("f4") for exposure in self.exposures),
         }
         # as np.savez_compressed does, which wants the arrays of all views at once
@@ -175,7 +175,7 @@ class AveragedScene:
 
     def facts(self) -> dict[str, Any]:
         """How many exposures there are, and how many pixels of all rendered views none of them sees."""
-        size = self.known[0].planes[..., 0].size
+        size = math.prod(self.known[0].size)
         return {"exposures": len(self.sources), "holes": sum(self._holes.values()),
                 "pixels": size * len(self._holes)}  # fmt: skip
 

@@ -3,8 +3,9 @@
 In camera coordinates a plane m . P = 1 has 1/z = m . d at the image point (x, y), with d = K^-1 (x, y, 1).
 """
 
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -20,18 +21,21 @@ GRAZING = 0.02  # cosine; planes seen more from the side are taken as facing the
 class SurfaceCamera:
     """A camera and the surface that it sees.
 
+    What it works out of the surface takes much memory, and goes with it: of a camera that is kept, use a copy.
+
     Attributes:
         viewmat: World to camera [4, 4].
         K: Intrinsics [3, 3].
-        planes: Inverse depth of every pixel's tangent plane, [h, w, 3]: 1/z = planes . K^-1 (x, y, 1), zero for the
-            background.
+        size: Height and width.
         tolerance: Relative difference of depth up to which two pixels show the same surface.
+        surface: Gives `planes`.
     """
 
     viewmat: Array
     K: Array
-    planes: Array
+    size: tuple[int, int]
     tolerance: float
+    surface: Callable[[], Array]
 
     @staticmethod
     def of(
@@ -39,20 +43,14 @@ class SurfaceCamera:
     ) -> "SurfaceCamera":
         """From z-depth [h, w], inf without surface, and world normals [h, w, 3]."""
         height, width = depth.shape
-        rays = rays_of(K, height, width)
-        turned = normals.astype(np.float64) @ viewmat[:3, :3].T
-        surface = np.isfinite(depth) & (depth > 0)
-        slope = (turned * rays).sum(-1)  # n . d
-        level = np.abs(slope) < GRAZING * np.linalg.norm(rays, axis=-1)
-        turned = np.where(level[..., None], [0.0, 0.0, 1.0], turned)
-        slope = np.where(level, 1.0, slope)
-        near = np.where(surface, depth, np.inf).astype(np.float64)
-        return SurfaceCamera(viewmat, K, turned / (slope * near)[..., None], tolerance)
+        return SurfaceCamera(viewmat, K, (height, width), tolerance, partial(tangents, viewmat, K, depth, normals))
 
-    @property
-    def size(self) -> tuple[int, int]:
-        """Height and width."""
-        return self.planes.shape[0], self.planes.shape[1]
+    @cached_property
+    def planes(self) -> Array:
+        """Inverse depth of every pixel's tangent plane, [h, w, 3]: 1/z = planes . K^-1 (x, y, 1), zero for the
+        background.
+        """
+        return self.surface()
 
     @cached_property
     def inverse_depth(self) -> NDArray[np.float32]:
@@ -78,10 +76,23 @@ class SurfaceCamera:
         return found
 
 
+def tangents(viewmat: Array, K: Array, depth: NDArray[Any], normals: NDArray[Any]) -> Array:
+    """The tangent planes [h, w, 3] of z-depths [h, w], inf without surface, with world normals [h, w, 3]."""
+    rays = rays_of(K, *depth.shape)
+    turned = normals.astype(np.float64) @ viewmat[:3, :3].T
+    surface = np.isfinite(depth) & (depth > 0)
+    slope = (turned * rays).sum(-1)  # n . d
+    level = np.abs(slope) < GRAZING * np.linalg.norm(rays, axis=-1)
+    turned = np.where(level[..., None], [0.0, 0.0, 1.0], turned)
+    slope = np.where(level, 1.0, slope)
+    near = np.where(surface, depth, np.inf).astype(np.float64)
+    return np.asarray(turned / (slope * near)[..., None])
+
+
 def seen_together(known: list[SurfaceCamera], viewmat: Array, K: Array, height: int, width: int) -> SurfaceCamera:
     """The surface in front of a camera from the pixels of all known ones: the nearest that falls onto each pixel."""
     inverse, planes = np.zeros(height * width), np.zeros((height * width, 3))
-    for camera in known:
+    for camera in map(replace, known):
         mine, near = _brought(camera, viewmat, K, height, width)
         nearer = near > inverse
         inverse, planes = np.where(nearer, near, inverse), np.where(nearer[:, None], mine, planes)
@@ -90,7 +101,8 @@ def seen_together(known: list[SurfaceCamera], viewmat: Array, K: Array, height: 
     # A plane seen from the side may pass the centre of its pixel far away, or not at all.
     facing = np.stack([0 * inverse, 0 * inverse, inverse], -1).reshape(height, width, 3)
     fits = same_depth((shaped * rays).sum(-1), inverse.reshape(height, width), 5 * known[0].tolerance)
-    return SurfaceCamera(viewmat, K, np.where(fits[..., None], shaped, facing), known[0].tolerance)
+    found = np.where(fits[..., None], shaped, facing)
+    return SurfaceCamera(viewmat, K, (height, width), known[0].tolerance, lambda: found)
 
 
 def _brought(camera: SurfaceCamera, viewmat: Array, K: Array, height: int, width: int) -> tuple[Array, Array]:

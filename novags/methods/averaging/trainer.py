@@ -41,6 +41,8 @@ def train(
         LacksInput: If the problem lacks one of these, or the linear 16-bit pictures.
     """
     started = time.perf_counter()
+    # First of all, while nothing else takes memory: for these all pictures are read.
+    params = parameters_of_all(problem, config.enhance, config.pictures)
     clean, surface, linear16 = problem.clean, problem.surface, problem.linear16
     if clean is None or surface is None or linear16 is None:
         wanted = {"the noise-free exposures": clean, "the true surface": surface,
@@ -48,10 +50,7 @@ def train(
         missing = ", ".join(name for name, value in wanted.items() if value is None)
         raise LacksInput(f"averaging over views by truth needs {missing}, and this capture has none")
     device = problem.views.viewmats.device
-    # Before the cameras have surfaces: for these all pictures are read, which are as large.
-    params = parameters_of_all(problem, config.enhance, config.pictures)
     known, training = cameras_of(surface, config.tolerance), surface.training
-    del surface  # as large as the cameras
     noise = noise_of(problem)
     noises = [noise.at(exposure).linear16 for exposure in problem.exposures or (1.0,) * len(clean)]
     exposures, variances = _exposures(linear16.cpu(), clean.cpu(), noises, config.exposures)

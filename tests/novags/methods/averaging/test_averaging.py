@@ -306,7 +306,7 @@ def test_the_enhancement_is_that_of_the_nearest_camera_whatever_the_unit_of_leng
         viewmat = np.eye(4)
         viewmat[:3, :3] = [[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]]
         viewmat[:3, 3] = -viewmat[:3, :3] @ [place * unit, 0, 0]
-        return SurfaceCamera(viewmat, World.K, np.zeros((4, 4, 3)), 0.01)
+        return SurfaceCamera(viewmat, World.K, (4, 4), 0.01, lambda: np.zeros((4, 4, 3)))
 
     sources, target = [camera(turn, 0.0), camera(0.0, 1 / 3)], camera(0.0, 0.0)
     known = [*sources, target, camera(0.0, 1.0), camera(0.0, -4 / 3)]  # their mean is the target's place
