@@ -12,6 +12,7 @@ SOURCES: Registry[CameraSource] = Registry({
     "dust3r": "novags.cameras.sources.dust3r:SOURCE",
     "mast3r": "novags.cameras.sources.mast3r:SOURCE",
     "vggsfm": "novags.cameras.sources.vggsfm:SOURCE",
+    "da3": "novags.cameras.sources.da3:SOURCE",
 }, "novags.cameras", CameraSource)  # fmt: skip
 
 

@@ -13,7 +13,7 @@ from PIL import Image
 from torch import Tensor
 
 from novags.cameras.estimate import Array, CameraEstimate, as_estimate
-from novags.cameras.points import averaged, project, subset
+from novags.cameras.points import averaged, inside, project, subset, unproject
 
 Index = NDArray[np.intp]
 LARGEST_MISS = 2.0  # px of a prepared picture, twice the effect of conventions of half a pixel and of rounding
@@ -162,6 +162,46 @@ def from_pixels(
         tuple(range(len(viewmats))), viewmats, window.original_Ks(Ks), points, averaged(points, colors),
         size=(int(sizes[0]), int(sizes[1])), made_of={"of the network's depths": len(points)},
     )  # fmt: skip
+
+
+def refuse_other_conventions(source: str, chosen: Index, depths: Array, viewmats: Array, Ks: Array) -> None:
+    """Refuse cameras with which the depths of neighbouring views contradict each other, and not by other conventions.
+
+    For networks without points of their own, whose points are seen at their pixels with any cameras.
+
+    Args:
+        source: The camera source, for messages.
+        chosen: View, row and column [P, 3] of some pixels.
+        depths: Z-depths of all views [C, H, W].
+        viewmats: [C, 4, 4].
+        Ks: [C, 3, 3].
+
+    Raises:
+        ValueError: If depths differ half as much with the inverse cameras, or with the other signs of y and z.
+    """
+    own = _depths_apart(chosen, depths, viewmats, Ks)
+    others = (inverted(viewmats), np.diag([1.0, -1, -1, 1]) @ viewmats)
+    if min(_depths_apart(chosen, depths, other, Ks) for other in others) < own / 2:
+        raise ValueError(
+            f"{source} returned cameras with which depths of neighbouring views differ by {own:.1%} (median), and by "
+            "less than half of that if they were camera-to-world or had OpenGL's axes: this version of the package has "
+            "other conventions than novags.cameras.networks"
+        )
+
+
+def _depths_apart(chosen: Index, depths: Array, viewmats: Array, Ks: Array) -> float:
+    """Median of |ln| of the depth of a pixel, seen from the next view, over the depth there; inf where none is seen."""
+    count, height, width = depths.shape
+    off = [np.full(1, np.inf)]
+    for i in range(count):
+        view, y, x = chosen[chosen[:, 0] == i].T
+        points = unproject(np.stack([x, y], -1) + 0.5, depths[view, y, x], viewmats[view], Ks[view])
+        other = (i + 1) % count
+        seen, depth = project(points, viewmats[other], Ks[other])
+        there = inside(seen, height, width)
+        column, row = seen[there].astype(int).T
+        off.append(np.abs(np.log(depth[there] / depths[other, row, column])))
+    return float(np.median(np.concatenate(off)))
 
 
 def _miss(points: Array, pixels: Array, view: Index, viewmats: Array, Ks: Array) -> float:

@@ -15,5 +15,5 @@ METHOD = Method(
     source="the Gauss-Markov theorem, and cubic convolution (Keys 1981)",
     sees_clean=True,
     sees_surface=True,
-    memory=Memory(fixed=0.6e9, pictures=5.8),
+    memory=Memory(fixed=0.6e9, pictures=3.6),
 )

@@ -16,6 +16,7 @@ from torch import Tensor
 from novags.methods.averaging.surface import Array, Mask, SurfaceCamera, seen_together
 from novags.methods.averaging.warp import Rules, warp
 from novags.methods.problem import encode
+from novags.process import give_back
 from novags.splats.views import Views
 from sensor_model.files.atomic import atomic
 
@@ -82,6 +83,7 @@ def average(
             total[some] += share * (matrix @ exposure.reshape(-1, 3))
             weight[some] += share
             views[some] += seen
+        give_back()  # what a source took, which would otherwise stay beside what the next one takes
     found = views > 0
     inverse = 1 / np.where(found[:, None], weight, 1.0)
     return Average(total * inverse, np.where(found[:, None], inverse, np.inf), views)

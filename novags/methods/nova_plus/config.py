@@ -22,7 +22,7 @@ FIT = FitConfig(rates=FAST, eps2d=0.1, mcmc=MCMC, opacity_reg_fall=1.0)
 PIXELS_PER_GAUSSIAN = 11  # of all training views: more Gaussians gain little, fewer lose
 
 
-PARTS = {"likelihood": 10, "structure": 10, "merged": 2}  # each fit, in 24ths of `fit.iterations`
+PARTS = {"likelihood": 10, "structure": 10, "merged": 2, "plain": 24}  # each fit, in 24ths of `fit.iterations`
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,6 +43,7 @@ class NovaPlusConfig:
         denoise: The trained denoiser, for data whose noise is independent; None: without it.
         denoised_share: Of its pictures in the targets of stage 2.
         least_share: Of both shares, which fall with the variance of what they are shares of; 1: they do not fall.
+        plain: Whether held-out data may choose a plain fit, L1 to the data as they are, instead of the whole method.
         stages: How far to go: "likelihood" alone, or "all".
         noise: "camera": the known noise, where there is one; "pictures": estimated from the pictures.
         pictures: Whose enhancement the result is shown through, and compared with methods that enhance.
@@ -59,6 +60,7 @@ class NovaPlusConfig:
     denoise: DenoiseConfig | None = field(default_factory=DenoiseConfig)
     denoised_share: float = 1 / 3
     least_share: float = 1.0
+    plain: bool = False
     stages: Literal["likelihood", "all"] = "all"
     noise: Literal["camera", "pictures"] = "camera"
     pictures: Pictures = "8bit"
@@ -99,4 +101,6 @@ def parts(config: NovaPlusConfig) -> dict[str, int]:
         counts["structure"] = config.seeds * config.iterations("structure")
     if config.seeds > 1:
         counts["merged"] = config.iterations("merged")
+    if config.plain:
+        counts["plain"] = config.iterations("plain")
     return counts

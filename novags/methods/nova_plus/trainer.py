@@ -25,6 +25,7 @@ from novags.methods.nova_plus.data import LightMeasurements, exposures
 from novags.methods.nova_plus.judge import compare, mean_tone
 from novags.methods.nova_plus.likelihood import Likelihood
 from novags.methods.nova_plus.merge import merged
+from novags.methods.nova_plus.plain import Distance, plain_config
 from novags.methods.nova_plus.targets import LEFT, denoised_light, guided_light, towards
 from novags.methods.problem import Problem, gathered
 from novags.methods.reconstruction import Progress, Reconstruction
@@ -33,6 +34,7 @@ from novags.process import give_back
 from novags.splats.gaussians import Gaussians
 from novags.splats.training.config import FitConfig, LearningRates
 from novags.splats.training.fit import FitResult, fit
+from novags.splats.training.step import PixelLoss
 
 CHECKPOINTS = "checkpoints"
 CHANGE = 0.03  # step in tone, about the error of a render, at which an enhanced picture's response is measured
@@ -75,6 +77,8 @@ def train(
     final, targets = (firsts, None) if config.stages == "likelihood" else work.structure(firsts)
     del firsts
     gaussians = final[0] if len(final) == 1 else work.joined(final, targets)
+    if config.plain:
+        gaussians = work.or_plain(gaussians)
     scene = dataclasses.replace(GaussianScene.of(gaussians, work.base), tone=curve, matrix=data.matrix)
     between = time.perf_counter() - started - (work.seconds - work.earlier)  # done anew where a run goes on
     return Reconstruction(
@@ -200,6 +204,16 @@ class _Work:
         first = gathered(self._tones(sets[0]), self.data.light)
         return sets[0] if self._worse("merged", self._tones(joined), first, self.weights(first)) else joined
 
+    def or_plain(self, ours: Gaussians) -> Gaussians:
+        """The whole method's Gaussians; those of a plain fit, if held-out data reject the former beside it."""
+        give_back()
+        config = plain_config(self._config("plain", 0), self.config.iterations("plain"))
+        plain = self._fit(
+            "plain", 0, self._first(), lambda i: self.curve.tone(self.data.fitted_of(i)), config, Distance()
+        ).gaussians
+        other = gathered(self._tones(plain), self.data.light)
+        return plain if self._worse("plain", self._tones(ours), other, self.weights(other)) else ours
+
     def _worse(self, part: str, tones: Iterable[Tensor], other: Tensor, weights: Tensor) -> bool:
         """Whether the held-out data reject a part. If no data are held out, nothing is judged, and the part is kept."""
         verdict = compare(tones, other, self.data, self.curve, weights)
@@ -247,7 +261,7 @@ class _Work:
 
     def _fit(
         self, part: str, seed: int, start: Gaussians, target: Callable[[int], Tensor], config: FitConfig,
-        loss: Likelihood | None = None,
+        loss: PixelLoss | None = None,
     ) -> FitResult:  # fmt: skip
         path = self.checkpoint and self.checkpoint.parent / CHECKPOINTS / f"{part}-{seed}.safetensors"
 

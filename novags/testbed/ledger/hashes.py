@@ -72,6 +72,10 @@ class _Base:
             if self._open.execute("SELECT count(*) FROM files").fetchone()[0] > MOST:
                 self._open.execute("DELETE FROM files")
 
+    def __del__(self) -> None:
+        if self._open is not None:  # Python 3.13 warns of one that is left open
+            self._open.close()
+
     def find(self, stamp: Stamp) -> bytes | None:
         """The hash of a file with this stamp."""
         if self._open is None:

@@ -214,7 +214,7 @@ def test_small_faults_that_only_many_damaged_files_show(tmp_path: Path) -> None:
         (tmp_path / name).write_text(deep)
     assert not is_complete(tmp_path, "d", [])
     assert seconds_spent(tmp_path, "d") == {}
-    with pytest.raises(ValueError, match=r"events.jsonl, line 1 is nested too deeply"):
+    with pytest.raises(ValueError, match=r"events.jsonl, line 1(: it)? is nested (too deeply|more than 64 deep)"):
         Run(tmp_path, {}).events()
     for seconds in ("{}", "[1]", "null", "1" + "0" * 400):
         (tmp_path / UNFINISHED).write_text(f'{{"key": "k", "seconds": {seconds}}}')

@@ -2,6 +2,7 @@
 
 import os
 import sqlite3
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -34,6 +35,15 @@ def forget() -> None:
     """As another process begins."""
     hashes._SEEN.clear()
     hashes._base.cache_clear()
+
+
+def test_the_data_base_is_closed_with_the_last_who_asks(reader: Reader) -> None:
+    connection = hashes._base("x", os.getpid())._open
+    assert connection is not None
+    assert connection.execute("SELECT 1").fetchone() == (1,)
+    forget()
+    with pytest.raises(sqlite3.ProgrammingError, match="closed"):
+        connection.execute("SELECT 1")
 
 
 def settled(path: Path, content: bytes, monkeypatch: pytest.MonkeyPatch) -> Path:
@@ -103,7 +113,7 @@ def test_a_damaged_memory_costs_nothing_but_time(
     forget()
     base = tmp_path / "cache" / "novags" / "hashes" / "x.db"
     if harm == "mixed rows":
-        with sqlite3.connect(base) as found:
+        with closing(sqlite3.connect(base)) as found, found:
             found.execute("UPDATE files SET hash = ?", (b"of another file",))
     else:
         base.unlink()

@@ -1,0 +1,129 @@
+"""Cameras and points from Depth Anything 3, with the user's own installation and weights: neither is in this project.
+
+Parts of the package in use: `depth_anything_3.api.DepthAnything3(model_name)` and its network `model`, which is called
+in float32: its owner's `forward` asks for a GPU's half precision. Pictures are prepared as its `InputProcessor` does by
+default: longest side 504 px, each side then the nearest multiple of 14, by OpenCV (areas where a picture shrinks, else
+cubic), minus mean and over deviation of ImageNet.
+
+Depths are z-depths, cameras world-to-camera with pixel edges at whole numbers. The network has no points of its own;
+depths of one view seen from the next check the cameras.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from novags.cameras.estimate import Array, CameraEstimate
+from novags.cameras.networks.dense import Window, as_matrices, choose, from_pixels, numbers, refuse_other_conventions
+from novags.cameras.networks.package import brief, part, read_checkpoint, require
+from novags.cameras.pictures import check_views
+from novags.cameras.points import unproject
+from novags.cameras.sources.da3 import Da3Config
+
+LONGEST, PATCH = 504, 14  # px
+MEAN, DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # of ImageNet
+REFERENCE = "saddle_balanced"  # its default for the view that others refer to
+
+
+def check_installed(config: Da3Config) -> None:
+    """Raise a ValueError that says what to do if the package or the weights are missing."""
+    require(
+        "da3", "depth_anything_3", "pip install depth-anything-3 into this environment, or its GitHub repository "
+        "ByteDance-Seed/Depth-Anything-3 (code and the weights SMALL and BASE: Apache-2.0; LARGE and GIANT: CC BY-NC "
+        "4.0)", config.checkpoint, "model.safetensors of depth-anything/DA3-SMALL or another of its networks from "
+        "Hugging Face (SMALL and BASE: Apache-2.0; LARGE and GIANT: CC BY-NC 4.0)",
+    )  # fmt: skip
+
+
+def da3_cameras(
+    pictures: NDArray[np.uint8],
+    colors_from: Tensor,
+    *,
+    n_points: int,
+    config: Da3Config,
+    seed: int = 0,
+    device: str | torch.device = "cpu",
+) -> CameraEstimate:
+    """Cameras, intrinsics and points as the network estimates them; every view has a camera.
+
+    Args:
+        pictures: [C, h, w, 3] uint8, the network's input.
+        colors_from: [C, h, w, 3] dark images of the same views, 0..1.
+        n_points: Maximum number of points.
+        config: Weights, network and threshold.
+        seed: Of the choice of points.
+        device: Where the network runs.
+
+    Returns:
+        In the network's frame and unit. `Ks` are the network's, at the size of `pictures`; they belong to its depths,
+        so they are not replaced by known ones.
+
+    Raises:
+        ValueError: If package or weights are missing or do not fit, for wrong shapes or types, or if the network
+            returns values that are not finite, no positive depth, or cameras of other conventions.
+    """
+    pictures = np.asarray(pictures)
+    check_views(pictures, colors_from, n_points, fewest=1)
+    check_installed(config)
+    prepared, window = as_its_loader(pictures)
+    with torch.random.fork_rng():  # its class draws first weights, which are then replaced
+        model = _load(config, device)
+    viewmats, Ks, depths, confidence = _infer(model, prepared.to(device), config.rays)
+    chosen = choose("da3", confidence, np.isfinite(depths) & (depths > 0), config.drop_percent, n_points, seed)
+    view, y, x = chosen.T
+    points = unproject(np.stack([x, y], -1) + 0.5, depths[view, y, x], viewmats[view], Ks[view])
+    refuse_other_conventions("da3", chosen, depths, viewmats, Ks)
+    return from_pixels("da3", chosen, points, viewmats, Ks, window, colors_from)
+
+
+def as_its_loader(pictures: NDArray[np.uint8]) -> tuple[Tensor, Window]:
+    """Pictures [C, h, w, 3] as the network expects them, float32 [C, 3, H, W]."""
+    height, width = pictures.shape[1:3]
+    share = LONGEST / max(width, height)
+    near = [(width, height), (max(1, round(width * share)), max(1, round(height * share)))]
+    near.append((_patches(near[1][0]), _patches(near[1][1])))
+    images = []
+    for picture in pictures:
+        for before, after in zip(near[:-1], near[1:], strict=True):
+            grows = after[0] > before[0] or after[1] > before[1]
+            if after != before:
+                picture = cv2.resize(picture, after, interpolation=cv2.INTER_CUBIC if grows else cv2.INTER_AREA)
+        images.append(picture)
+    values = torch.from_numpy(np.stack(images)).movedim(-1, 1).float() / 255
+    mean, deviation = (values.new_tensor(each)[:, None, None] for each in (MEAN, DEVIATION))
+    scale = np.array(near[-1]) / [width, height]
+    return (values - mean) / deviation, Window(scale, np.zeros(2), *near[-1])
+
+
+def _patches(side: int) -> int:
+    """The nearest multiple of PATCH, the larger of two that are as near; at least one px, as its loader says."""
+    return max(1, (side + PATCH // 2) // PATCH * PATCH)
+
+
+def _load(config: Da3Config, device: str | torch.device) -> Any:
+    model = part("da3", "depth_anything_3.api").DepthAnything3(model_name=config.network)
+    try:
+        model.load_state_dict(read_checkpoint(Path(config.checkpoint)))
+    except Exception as error:  # other names, other shapes, or no tensors at all
+        raise ValueError(
+            f"{config.checkpoint} does not hold the weights of {config.network}: {brief(error)}; da3:network=NAME says "
+            "which network they are of"
+        ) from error
+    return model.model.eval().to(device)
+
+
+def _infer(model: Any, images: Tensor, rays: bool) -> tuple[Array, Array, Array, Array]:
+    """Of the prepared pictures, in float64: cameras [C, 4, 4], intrinsics [C, 3, 3], z-depths and their confidence
+    [C, H, W].
+    """
+    with torch.no_grad():
+        found = model(images[None].float(), None, None, [], False, rays, REFERENCE)
+    count, _, height, width = images.shape
+    extrinsics, intrinsics = numbers(found["extrinsics"][0]), numbers(found["intrinsics"][0])
+    depths, confidence = (numbers(found[key][0]).reshape(count, height, width) for key in ("depth", "depth_conf"))
+    return as_matrices(extrinsics[:, :3, :3], extrinsics[:, :3, 3]), intrinsics, depths, confidence

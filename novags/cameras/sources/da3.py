@@ -1,0 +1,37 @@
+"""The network Depth Anything 3."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, get_args
+
+from novags.cameras.settings import Pictures, check_drop, check_kind
+from novags.cameras.source import CameraConfig, CameraSource
+from sensor_model.files.registry import Later
+
+Network = Literal["da3-small", "da3-base", "da3-large", "da3-giant"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Da3Config(CameraConfig):
+    """Weights, which network they are of, and which of its depths to believe."""
+
+    checkpoint: Path  # model.safetensors of DA3-SMALL, -BASE, -LARGE or -GIANT
+    network: Network = "da3-base"  # whose weights these are, by the name of the package's preset
+    pictures: Pictures = "raw"  # which pictures are used; the caller provides them
+    rays: bool = False  # cameras from the rays of all pixels: slower and more accurate than from one token a view
+    drop_percent: float = 30.0  # of all pixels, the share with the least confident depth, which gives no points
+
+    def __post_init__(self) -> None:
+        check_kind("da3", self.pictures)
+        check_drop("da3", self.drop_percent)
+        if self.network not in get_args(Network):
+            raise ValueError(f"network of da3 must be one of {', '.join(get_args(Network))}, got {self.network!r}")
+
+
+SOURCE = CameraSource(
+    "the network Depth Anything 3, by your own installation and weights",
+    Da3Config,
+    Later("novags.cameras.networks.depth_anything:check_installed"),
+    Later("novags.cameras.networks.depth_anything:da3_cameras"),
+    "pictures",
+)
