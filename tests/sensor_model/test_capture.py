@@ -167,6 +167,15 @@ def test_codes_are_black_level_plus_gain_times_electrons(gain, backend):
     np.testing.assert_allclose(frame.clean_dn, 64 + 400 * gain, rtol=1e-6)
 
 
+def test_the_noise_free_exposure_ends_where_codes_end():
+    """A well of 4000 e- at a gain of 3 is more than 10 bits have; without that, the whole signal is there."""
+    light = np.array([[40.0, 4e5]])
+    for bits, most in ((10, 1023.0), (16, 100 + 3 * 4000.0)):
+        sensor = Sensor(gain=3.0, eta=0.5, mu_e_sat=4000.0, black_level=100.0, bits=bits, sigma_d=1.0, cfa=None)
+        frame = expose(light, sensor, Exposure(time=0.01), seed=1, view=0)
+        np.testing.assert_allclose(frame.clean_dn, [[160, most]], rtol=1e-6)
+
+
 def test_every_frame_of_a_burst_is_in_its_mean_and_a_pixel_that_any_of_them_cut_off_is_saturated():
     sensor = PRESETS["a7s2-iso6400"]
     light = np.full((3, 16, 16), 40.0)

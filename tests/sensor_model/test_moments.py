@@ -261,3 +261,13 @@ def test_an_effect_from_outside_moves_mean_and_variance_by_its_electrons_in_code
         for effects in ({}, {"haze": {}})
     ]
     assert full[1] - full[0] == pytest.approx(1.3 * (20 + 0.1 * BASE["mu_e_sat"]), rel=1e-3)
+
+
+def test_how_near_a_limit_codes_are_counts_the_gain() -> None:
+    """A Poisson number reaches a quarter of REACH**2 farther than its deviation says: in codes, times the gain."""
+    for gain in (0.25, 4.0):
+        sensor = Sensor(gain=gain, eta=0.5, mu_e_sat=np.inf, black_level=100.0, bits=16, sigma_d=1.0, cfa=None)
+        sd, skew = np.array([50.0]), gain * moments.REACH**2 / 4
+        edge = sensor.max_dn - moments.REACH * sd - skew - 1
+        assert moments._near_a_limit(sensor, np.array([100.0]), edge + 0.01, sd).all()
+        assert not moments._near_a_limit(sensor, np.array([100.0]), edge - 0.01, sd).any()

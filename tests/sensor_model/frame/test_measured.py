@@ -53,6 +53,16 @@ def test_captures_without_light_look_like_frames_that_were_not_drawn_from(sigma:
     assert np.corrcoef(taken.mean(0).ravel(), fresh.mean(0).ravel())[0, 1] > 0.95  # the same hot pixels
 
 
+def test_frames_without_noise_are_drawn_as_they_are_and_described_without_noise() -> None:
+    """Less than rounding alone makes: no variance is negative, and none is divided by."""
+    codes = np.repeat(dark_codes(1, 0), 9, 0)
+    frames = DarkFrames(codes=codes, sensor=CAMERA)
+    assert (captures(frames, 2) == codes[0]).mean() > 0.999
+    assert np.isfinite(frames.variance).all()
+    described = frames.described
+    assert (described.sigma_d, described.sigma_row, described.sigma_column) == (0.0, 0.0, 0.0)
+
+
 def test_a_capture_without_light_is_a_dark_frame() -> None:
     """But for voltages at the very edge of a code, which float32 moves over it."""
     frames = dark(5)

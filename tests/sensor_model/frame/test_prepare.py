@@ -27,6 +27,10 @@ def test_beyond_full_well_all_noise_and_the_lowest_black_a_pixel_is_full_in_ever
     assert charge_cap(sensor, EXPOSURE) == pytest.approx(top + 10 * np.sqrt(top) + 100)
 
 
+def test_a_black_level_of_absurd_depth_keeps_the_cap_finite():
+    assert charge_cap(replace(CALM, rgb_bias=(-1e300, 0.0, 0.0)), EXPOSURE) == pytest.approx(1e15, rel=1e-6)
+
+
 def test_where_the_excess_goes_elsewhere_it_may_fill_the_longest_column():
     assert charge_cap(replace(CALM, blooming=True), EXPOSURE) == streams.SIDE * 4000.0
 

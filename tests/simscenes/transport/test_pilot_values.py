@@ -63,6 +63,11 @@ def test_where_a_change_lies_is_told_by_brightness_each_part_relative_to_its_own
     assert found == pytest.approx((whole, 0.1 / max(darkest, 8e-12), 0.4 / 2, 1 / 4, 3 / 8))
 
 
+def test_a_black_picture_has_no_change_relative_to_its_light() -> None:
+    nothing = in_blocks(0.0, 0.0, 0.0, 0.0)
+    assert root_mean_squares(nothing, nothing) == (0.0,) * 5
+
+
 def test_a_change_that_alternates_from_pixel_to_pixel_or_between_channels_counts_in_full() -> None:
     """Light and shade, or red and blue, that a mean over neighbours or channels would let cancel."""
     sign = np.where(np.indices((32, 32)).sum(0) % 2, 1.0, -1.0)[None, None, ..., None]

@@ -272,6 +272,16 @@ def test_deep_paths_do_without_roulette() -> None:
     assert effect.reason.startswith("light persists to depth 128: roulette would make it rare and bright")
 
 
+def test_paths_without_any_noise_make_no_ratio_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A scene whose every path carries the same light, such as one of lamps alone."""
+    monkeypatch.setattr(effects, "path_noise", lambda mi, loaded, rig, integrators, *_: np.zeros((len(integrators), 2)))
+    monkeypatch.setattr(
+        effects, "path_lengths", lambda mi, loaded, rig, depth, starts, seed: np.arange(1.0, len(starts) + 1)
+    )
+    _, effect = roulette_effect(pilots(base="rgb"), False, 16, True)
+    assert "nan" not in effect.reason
+
+
 @pytest.mark.parametrize("coloured", [0, 1])
 def test_any_colour_of_the_extinction_makes_a_medium_chromatic(coloured: int) -> None:
     """A grid of densities, two colours, and what says nothing of the extinction."""

@@ -140,6 +140,7 @@ def test_all_that_is_not_used_is_said_together(tmp_path: Path) -> None:
 def test_frames_that_are_no_frames_are_left_for_their_own_check() -> None:
     content = {"a": None, "frames": [{"k1": None, "w": 3}, 7]}
     assert without_nulls(content) == {"frames": content["frames"]}
+    assert without_nulls({"frames": content["frames"][::-1]}) == {"frames": content["frames"][::-1]}
     assert without_nulls({"frames": [{"k1": None}, {"w": 3, "k2": None}]}) == {"frames": [{}, {"w": 3}]}
 
 
@@ -155,11 +156,20 @@ def test_a_camera_that_turns_during_an_exposure_is_said_with_the_pixels_of_its_t
     (note,) = notes_of(folder_of(tmp_path, frame={"camera_angular_velocity": [0, 1.0, 0]}, rolling_shutter_time=0.02))
     assert "by up to 1.15 degrees, which shifts pixels by up to 1.2 px" in note
     content = json.loads((tmp_path / "transforms.json").read_text())
-    for frame, speed in zip(content["frames"], (0.1, 0.2, 2.0), strict=True):
-        frame["camera_angular_velocity"] = [0, speed, 0]
-    (tmp_path / "transforms.json").write_text(json.dumps(content))
-    (note,) = notes_of(tmp_path)
-    assert "by up to 2.29 degrees" in note  # in the frame that turns fastest
+    for speeds in ((0.1, 0.2, 2.0), (2.0, 0.2, 0.1)):
+        for frame, speed in zip(content["frames"], speeds, strict=True):
+            frame["camera_angular_velocity"] = [0, speed, 0]
+        (tmp_path / "transforms.json").write_text(json.dumps(content))
+        (note,) = notes_of(tmp_path)
+        assert "by up to 2.29 degrees" in note  # in the frame that turns fastest
+    turning = [angle for frame in content["frames"] if (angle := frame.pop("camera_angular_velocity")) is not None]
+    assert len(turning) == 3
+    for place in (0, 2):
+        moved = json.loads(json.dumps(content))
+        moved["frames"][place] |= ends
+        (tmp_path / "transforms.json").write_text(json.dumps(moved))
+        (note,) = notes_of(tmp_path)
+        assert "by up to 1.15 degrees" in note  # in the one frame that turns
     assert notes_of(folder_of(tmp_path, frame=dict.fromkeys(ends, start.tolist()))) == []
 
 
@@ -205,4 +215,11 @@ def test_two_focal_lengths_that_contradict_each_other_are_said(tmp_path: Path) -
     assert "states two focal lengths: fl_x gives 60 px, camera_angle_x gives 12.84 px; fl_x counts" in note
     (note,) = notes_of(folder_of(tmp_path, frame={"fl_y": 60.0, "camera_angle_y": 2.0}))
     assert "fl_y gives 60 px, camera_angle_y gives 9.631 px; fl_y counts" in note
+    content = json.loads((folder_of(tmp_path) / "transforms.json").read_text())
+    for place in (0, 2):
+        moved = json.loads(json.dumps(content))
+        moved["frames"][place] |= {"fl_y": 60.0, "camera_angle_y": 2.0}
+        (tmp_path / "transforms.json").write_text(json.dumps(moved))
+        (note,) = notes_of(tmp_path)  # wherever it stands
+        assert "camera_angle_y gives 9.631 px" in note
     assert notes_of(folder_of(tmp_path, camera_angle_x=float(2 * np.arctan(20 / 60)))) == []
