@@ -83,7 +83,7 @@ def average(
             total[some] += share * (matrix @ exposure.reshape(-1, 3))
             weight[some] += share
             views[some] += seen
-        give_back()  # what a source took, which would otherwise stay beside what the next one takes
+        give_back()  # else the memory of a source stays beside the memory of the next
     found = views > 0
     inverse = 1 / np.where(found[:, None], weight, 1.0)
     return Average(total * inverse, np.where(found[:, None], inverse, np.inf), views)

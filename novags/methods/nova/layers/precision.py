@@ -1,7 +1,7 @@
 """Maps in float32 and bfloat16 for kernels, which compute in float32.
 
-A kernel is written once, with `read`, `place` and `write`: what reads a line of the memory, where a line of results is
-computed, and what brings it from there into the memory. For float32 the place is the memory itself.
+A kernel is written once, with three functions: `read` gives a line of the memory, `place` says where a line of results
+is computed, and `write` brings it from there into the memory. For float32 the place is the memory itself.
 """
 
 # mypy: allow-untyped-defs
