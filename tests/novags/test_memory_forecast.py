@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from novags.methods import METHODS, VARIANTS
+from novags.methods import METHODS, VARIANTS, memory
 from novags.methods.memory import Memory
 from novags.splats.training.config import FitConfig, McmcConfig
 from novags.testbed import stages
@@ -35,6 +35,12 @@ MEASURED = {
     "i2-nerf": {SMALL: 0.98}, "ll-nerf": {SMALL: 1.14}, "averaging": {SMALL: 0.62, WHOLE: 2.84},
 }  # fmt: skip
 FACTOR = 1.6  # between forecast and peak, either way
+
+
+@pytest.fixture
+def without_cuda(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As where the figures were measured."""
+    monkeypatch.setattr(memory, "has_cuda_libraries", lambda: False)
 
 
 @pytest.fixture(scope="module")
@@ -77,14 +83,16 @@ def test_more_than_is_free_is_said_before_the_work_begins(
     assert any("more memory than is free" in line for line in said) is (free < 1e9)
 
 
+@pytest.mark.usefixtures("without_cuda")
 def test_views_pixels_and_gaussians_each_take_their_share() -> None:
-    memory = Memory(fixed=5.0, gaussian=3.0, pictures=2.0, work=10.0)
-    assert memory.peak(0, 0, 0) == 5
-    assert memory.peak(0, 0, 100) - memory.peak(0, 0, 0) == 300
-    assert memory.peak(7, 100, 0) - memory.peak(6, 100, 0) == 2 * 1200
-    assert memory.peak(0, 100, 0) - memory.peak(0, 0, 0) == 10 * 1200
+    figures = Memory(fixed=5.0, gaussian=3.0, pictures=2.0, work=10.0)
+    assert figures.peak(0, 0, 0) == 5
+    assert figures.peak(0, 0, 100) - figures.peak(0, 0, 0) == 300
+    assert figures.peak(7, 100, 0) - figures.peak(6, 100, 0) == 2 * 1200
+    assert figures.peak(0, 100, 0) - figures.peak(0, 0, 0) == 10 * 1200
 
 
+@pytest.mark.usefixtures("without_cuda")
 def test_a_population_is_counted_as_large_as_it_becomes() -> None:
     fit = FitConfig(iterations=1000, mcmc=McmcConfig(refine_start=100, refine_every=100, growth=1.5))  # seven times
     memory = Memory(fixed=5.0, gaussian=3.0, pictures=0.0, work=0.0)
@@ -109,6 +117,17 @@ def test_nova_plus_counts_the_gaussians_of_all_seeds_up_to_one_for_eleven_pixels
     assert method.memory(capped, 44, 1e6, 100_000) < method.memory(config, 44, 1e6, 100_000) / 2
 
 
+def test_the_libraries_of_cuda_count_where_torch_came_with_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    said = []
+    for found in (None, object()):
+        monkeypatch.setattr(memory, "find_spec", lambda name, found=found: found if name == "nvidia" else None)
+        memory.has_cuda_libraries.cache_clear()
+        said.append([Memory().peak(44, pixels, 1e5) for pixels in (1e3, 1e6)])
+    memory.has_cuda_libraries.cache_clear()
+    assert [b - a for a, b in zip(*said, strict=True)] == pytest.approx([memory.CUDA] * 2)
+
+
+@pytest.mark.usefixtures("without_cuda")
 @pytest.mark.parametrize("name", MEASURED)
 def test_what_is_said_is_what_was_measured(name: str) -> None:
     changed = {"iterations": 12, "denoiser_steps": 4}
@@ -118,6 +137,7 @@ def test_what_is_said_is_what_was_measured(name: str) -> None:
         assert said / 2**30 == pytest.approx(peak, rel=0.15), (name, views, pixels)
 
 
+@pytest.mark.usefixtures("without_cuda")
 @pytest.mark.parametrize("name", [*METHODS, *VARIANTS])
 def test_fifty_views_of_a_megapixel_are_expected_to_fit_into_four_gibibytes(name: str) -> None:
     config = adapted(EXPERIMENTS["demo"], methods=(name,)).reconstruct(name)
