@@ -170,6 +170,7 @@ def test_a_camera_that_turns_during_an_exposure_is_said_with_the_pixels_of_its_t
         (tmp_path / "transforms.json").write_text(json.dumps(moved))
         (note,) = notes_of(tmp_path)
         assert "by up to 1.15 degrees" in note  # in the one frame that turns
+        assert "(transform_matrix_start, transform_matrix_end)" in note
     assert notes_of(folder_of(tmp_path, frame=dict.fromkeys(ends, start.tolist()))) == []
 
 
