@@ -16,7 +16,7 @@ class Memory:
     """Figures of a method, measured on captures of several sizes.
 
     Attributes:
-        fixed: Bytes whatever the capture, libraries included, but for those of CUDA.
+        fixed: Bytes whatever the capture, with all libraries but CUDA's.
         gaussian: Bytes for each of the Gaussians that a run ends with.
         pictures: How many float32 pictures of all training views are there at once.
         work: How many pictures of its size the work on one view takes.
