@@ -4,21 +4,21 @@ Its distance is between tones, which keeps the median: the median of tones is th
 lies so far below black that a tone ends.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from torch import Tensor
 
-from novags.splats.training.config import FitConfig, LearningRates, McmcConfig
+from novags.splats.training.config import FitConfig
 from novags.splats.training.step import Step
 
 
 def plain_config(base: FitConfig, iterations: int) -> FitConfig:
-    """The settings of `naive-l1`, with the degree, the drawing and the refinement of cameras of `base`."""
+    """The settings of `naive-l1` in rates, movement and regularisers, all others of `base`."""
     usual = FitConfig()
-    return FitConfig(
-        iterations=iterations, dssim_weight=0.0, sh_degree=base.sh_degree, sh_every=base.sh_every, extent=base.extent,
-        seed=base.seed, cap_max=base.cap_max, eps2d=base.eps2d, antialiased=base.antialiased, backend=base.backend,
-        checkpoint_every=base.checkpoint_every, rates=LearningRates(), mcmc=McmcConfig(),
-        opacity_reg=usual.opacity_reg, scale_reg=usual.scale_reg,
+    return replace(
+        base, iterations=iterations, dssim_weight=0.0, rates=usual.rates, mcmc=usual.mcmc,
+        opacity_reg=usual.opacity_reg, opacity_reg_fall=usual.opacity_reg_fall, scale_reg=usual.scale_reg,
     )  # fmt: skip
 
 

@@ -14,7 +14,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from novags.methods.nova.layers.precision import beside, itself, kept, memory, rounded, widened
 from novags.splats.cpu.compiler import inline, kernel
 from novags.splats.cpu.parallel import run
 
@@ -58,8 +57,49 @@ class _Normalised(torch.autograd.Function):
 
 
 def _pixels(x: Tensor) -> np.ndarray:
-    """[B, H W, D]."""
-    return memory(x).reshape(len(x), -1, x.shape[1])
+    """The memory of maps [B, D, H, W], channels last, as [B, H W, D]; bfloat16 as its bits."""
+    pixels = x.detach().permute(0, 2, 3, 1).flatten(1, 2)
+    return pixels.numpy() if x.dtype == torch.float32 else pixels.view(torch.uint16).numpy()
+
+
+# A kernel is written once, with three functions: `read` gives a line of the memory, `place` says where a line of
+# results is computed, and `write` brings it from there into the memory. For float32 the place is the memory itself.
+# They stand in this file, by which its machine code is kept: a change elsewhere would go unnoticed.
+
+
+@inline
+def _itself(memory, line):
+    """`read` and `place` of float32."""
+    return memory
+
+
+@inline
+def _kept(line, memory):
+    """`write` of float32."""
+
+
+@inline
+def _widened(memory, line):
+    """`read` of bfloat16."""
+    bits = line.view(np.uint32)
+    for c in range(len(memory)):
+        bits[c] = np.uint32(memory[c]) << np.uint32(16)
+    return line
+
+
+@inline
+def _beside(memory, line):
+    """`place` of bfloat16."""
+    return line
+
+
+@inline
+def _rounded(line, memory):
+    """`write` of bfloat16: the nearest, ties to even. A NaN of arithmetic, whose bits lie in this half, stays one."""
+    bits = line.view(np.uint32)
+    for c in range(len(memory)):
+        odd = (bits[c] >> np.uint32(16)) & np.uint32(1)
+        memory[c] = np.uint16((bits[c] + np.uint32(0x7FFF) + odd) >> np.uint32(16))
 
 
 @inline
@@ -142,22 +182,22 @@ def _backward(begin, end, x, gradient, slope, mean, scale, found, read, place, w
 @kernel
 def forward(begin, end, x, slope, y, mean, scale):
     """Fill y [B, P, D], mean [B, D] and scale [B, D] = 1 / deviation, 0 of a constant map, in channels begin..end-1."""
-    _forward(begin, end, x, slope, y, mean, scale, itself, itself, kept)
+    _forward(begin, end, x, slope, y, mean, scale, _itself, _itself, _kept)
 
 
 @kernel
 def forward_bfloat16(begin, end, x, slope, y, mean, scale):
     """The same of bits of bfloat16."""
-    _forward(begin, end, x, slope, y, mean, scale, widened, beside, rounded)
+    _forward(begin, end, x, slope, y, mean, scale, _widened, _beside, _rounded)
 
 
 @kernel
 def backward(begin, end, x, gradient, slope, mean, scale, found):
     """The gradient in x from the one in y, both [B, P, D], in channels begin..end-1."""
-    _backward(begin, end, x, gradient, slope, mean, scale, found, itself, itself, kept)
+    _backward(begin, end, x, gradient, slope, mean, scale, found, _itself, _itself, _kept)
 
 
 @kernel
 def backward_bfloat16(begin, end, x, gradient, slope, mean, scale, found):
     """The same of bits of bfloat16."""
-    _backward(begin, end, x, gradient, slope, mean, scale, found, widened, beside, rounded)
+    _backward(begin, end, x, gradient, slope, mean, scale, found, _widened, _beside, _rounded)
