@@ -12,7 +12,7 @@ def import_(
     time: float | None = None, black: float = 0.0, white: float = 65535.0,
     curve: Literal["auto", "linear", "srgb"] = "auto", demosaic: Literal["menon", "malvar", "bilinear"] = "menon",
     max_size: int | None = None, split: Literal["own", "every8"] = "own",
-    dataset: Literal["auto", "none", "LOM", "LLNeRF", "LLRS", "MVTV"] = "auto",
+    dataset: Literal["auto", "none", "LOM", "LLNeRF", "LLRS", "MVTV", "RealX3D"] = "auto",
     overwrite: bool = False, wait: bool = False,
     dry_run: bool = False,
 ) -> None:  # fmt: skip

@@ -60,6 +60,7 @@ class MultiviewSet:
         kind: "rendered" (radiance and geometry are known) or "photographs".
         meta: Content of set.json (or capture.json), {} for folders from elsewhere.
         held_out: Places of the views that the folder itself holds out; None: every 8th is.
+        lit_alone: Places of held-out views whose only picture, in `files`, is a well-lit one, among dark ones.
         unregistered: Photographs of the same take that have no camera, as files relative to their folder.
         origin: Where the zero of `rig` and of the points lies in the coordinates of the folder's files.
     """
@@ -72,6 +73,7 @@ class MultiviewSet:
     files: tuple[Path, ...] = field(repr=False)
     lenses: tuple[DistortedPinhole, ...] | None = field(default=None, repr=False)
     held_out: tuple[int, ...] | None = None
+    lit_alone: tuple[int, ...] = ()
     unregistered: tuple[str, ...] = field(default=(), repr=False)
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
 

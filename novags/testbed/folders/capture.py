@@ -27,7 +27,7 @@ from novags.methods.problem import RawPictures, encode
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture_record import CaptureRecord, Imported, read_capture_record
 from novags.testbed.folders.exchanged import REMEDIES, refuse_exchanged
-from novags.testbed.folders.imported import MISSING, read_clean
+from novags.testbed.folders.imported import MISSING, SCAN, cameras_of, read_clean, views_of
 from novags.testbed.folders.photographs.raw_files import read_digital_numbers
 from novags.testbed.folders.place import place_of
 from novags.testbed.folders.set import PHOTOGRAPHS, Source, open_source
@@ -38,7 +38,7 @@ from sensor_model.files.records import Reads, read_once
 from sensor_model.frame import own
 from sensor_model.isp import Demosaic, develop, develop_linear, from_linear16, srgb_to_linear, white_balance
 from sensor_model.params import Cfa, Sensor
-from simscenes.sets.multiview import MultiviewSet, load_set
+from simscenes.sets.multiview import MultiviewSet
 from simscenes.sets.pictures.exr import read_exr, write_exr
 from simscenes.sets.pictures.png import read_codes, read_png, write_png
 from simscenes.sets.writers.camera_files import CAMERA_FILES
@@ -47,12 +47,12 @@ if TYPE_CHECKING:
     from sensor_model.capture import RawFrame
 
 RECORD = "capture.json"
-OWNS = (RECORD, "raw", "images16", "images", "truth", "lit", *CAMERA_FILES)
+OWNS = (RECORD, "raw", "images16", "images", "truth", "lit", "depth", SCAN, *CAMERA_FILES)
 
 
-def has_view(folder: Path, name: str) -> bool:
+def has_view(folder: Path, name: str, last: str = "images") -> bool:
     """Whether the view is complete: its 8-bit image is written last, and every file appears whole or not at all."""
-    return (folder / "images" / f"{name}.png").exists()
+    return (folder / last / f"{name}.png").exists()
 
 
 def write_view(
@@ -140,6 +140,10 @@ class Capture:
     def _need(self, part: str) -> None:
         if not self.holds(part):
             raise LacksInput(f"{self.path}: {MISSING[part]}")
+
+    def is_dark(self, i: int) -> bool:
+        """Whether there is a dark picture of view `i`: a data set may show held-out views in good light only."""
+        return i not in self.cameras.lit_alone
 
     def srgb8(self, i: int) -> np.ndarray:
         """The 8-bit picture, sRGB-encoded float32 [h,w,3] in 0..1; evened (`Uneven.even`)."""
@@ -237,6 +241,8 @@ class Capture:
 
     def _read(self, read: Callable[[Path], np.ndarray], kind: str, i: int, suffix: str) -> np.ndarray:
         """A file of view `i`, as large as its camera says."""
+        if not self.is_dark(i):
+            raise LacksInput(f"{self.path}: view {self.names[i]} is known in good light only: it has no dark picture")
         path = self.path / kind / f"{self.names[i]}{suffix}"
         refuse_damage(self.path, self.record.stage, REMEDIES[RECORD], [f"{kind}/{path.name}"])
         found, rig = read(path), self.cameras.rig
@@ -322,7 +328,7 @@ class Capture:
             ValueError: If the set has moved or changed.
         """
         if (made_of := self.record.simulated) is None:
-            return self._twins(console)
+            return views_of(self.cameras, self.record, console, self.reads)
         if self.set_path is None:
             raise ValueError(f"{self.path} was made from the set {made_of.set_path} (relative to it), which is not "
                              "there: put it back or capture again")  # fmt: skip
@@ -339,13 +345,6 @@ class Capture:
             return None
         path = place_of(self.path, made_of.set_path)
         return path if path.is_dir() else None
-
-    def _twins(self, console: Console) -> Source:
-        lit = self.holds("lit")
-        kind = "lit" if lit else "images"
-        files = tuple(self.path / kind / f"{name}.png" for name in self.names)
-        views = replace(self.cameras, files=files, meta={"scene": self.record.scene}, kind="photographs")
-        return Source(views=views, rig=self.cameras.rig, console=console, lit_known=lit, reads=self.reads)
 
 
 def _light(path: Path) -> np.ndarray:
@@ -384,7 +383,7 @@ def open_capture(path: Path) -> Capture:
             return known
         content = folder_digest(path, OWNS)
         refuse_exchanged(path)
-        capture = Capture(path=path, record=record, cameras=load_set(path), content=content, reads=reads)
+        capture = Capture(path=path, record=record, cameras=cameras_of(path, record), content=content, reads=reads)
     _OPENED.clear()
     _OPENED[place] = capture
     return capture

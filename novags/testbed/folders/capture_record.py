@@ -20,7 +20,7 @@ from sensor_model.frame.uneven import EVEN, Uneven
 from sensor_model.isp import DEMOSAIC, Demosaic
 from sensor_model.params import Cfa, Exposure, Sensor
 
-PARTS = ("images16", "raw", "truth", "lit")  # folders that imported photographs may lack
+PARTS = ("images16", "raw", "truth", "lit", "depth", "scan")  # folders that imported photographs may lack
 LARGEST = 1e6  # in a colour matrix, whose entries are of order 1: far larger ones overflow the float32 of pictures
 
 
@@ -67,6 +67,9 @@ class Imported:
         clean: The long exposures: "folder", "paired", "gain", "white_share".
         dataset: The published data set; None: none.
         split: Who chose the held-out views.
+        lit_alone: Names of held-out views without a dark picture.
+        unlit: Names of views without a well-lit picture, where others have one.
+        unscanned: Names of views without a measured depth, where others have one.
     """
 
     parts: tuple[str, ...]
@@ -76,6 +79,9 @@ class Imported:
     clean: Mapping[str, Any] | None
     dataset: str | None
     split: str | None
+    lit_alone: tuple[str, ...] = ()
+    unlit: tuple[str, ...] = ()
+    unscanned: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,6 +125,11 @@ class CaptureRecord:
     stage: Mapping[str, Any]
     simulated: Simulated | None
     imported: Imported | None
+
+    @property
+    def dataset(self) -> str | None:
+        """The published data set that it is of; None: none."""
+        return None if self.imported is None else self.imported.dataset
 
     @property
     def variety(self) -> str:
@@ -199,5 +210,5 @@ def _imported(found: dict[str, Any], path: Path) -> Imported:
     return Imported(
         parts=tuple(found["parts"]), levels=raw and (raw["cfa"], float(raw["black"]), float(raw["white"])),
         depth=found["depth"], lit=found["lit"], clean=found["clean"], dataset=found.get("dataset"),
-        split=found.get("split"),
+        split=found.get("split"), **{key: tuple(found.get(key, ())) for key in ("lit_alone", "unlit", "unscanned")},
     )  # fmt: skip

@@ -42,10 +42,11 @@ def exposures_of(run: Run, capture: Capture, lit: Source) -> Exposures:
     def exposed(i: int) -> Image:
         return references(run, capture, lit, i).get("linear", capture.linear(i))
 
-    if not all(is_black(exposed(i)) for i in indices):
-        dark = exposure_gain((run.rendering(capture.names[i]), exposed(i)) for i in indices)
-    if lit.lit_known and any(_informs(lit.lit(i)) for i in indices):
-        bright = exposure_gain((run.rendering(capture.names[i]), _light(lit.lit(i))) for i in indices)
+    taken, shown = [i for i in indices if capture.is_dark(i)], [i for i in indices if lit.shows(i)]
+    if not all(is_black(exposed(i)) for i in taken):
+        dark = exposure_gain((run.rendering(capture.names[i]), exposed(i)) for i in taken)
+    if any(_informs(lit.lit(i)) for i in shown):
+        bright = exposure_gain((run.rendering(capture.names[i]), _light(lit.lit(i))) for i in shown)
     return Exposures(dark, bright)
 
 

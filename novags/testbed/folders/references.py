@@ -17,7 +17,7 @@ from novags.methods.enhancers import recorded
 from novags.methods.enhancers.applying import enhanced_like, enhanced_twin, enhanced_view, parameters
 from novags.methods.problem import encode
 from novags.testbed.folders.capture import Capture
-from novags.testbed.folders.imported import MISSING
+from novags.testbed.folders.imported import MISSING, read_depth
 from novags.testbed.folders.run import Run
 from novags.testbed.folders.set import Source
 from novags.testbed.metrics.picture import Image
@@ -110,10 +110,14 @@ def references(run: Run, capture: Capture, lit: Source, i: int) -> dict[str, Ima
             found["enhanced" + suffix] = enhanced_truth(capture, i, run.enhancement, demosaiced=bool(suffix))
         if run.space == "linear" and "linear" not in missing:
             found["linear" + suffix] = capture.clean_linear(i, demosaiced=bool(suffix))
-    return found if "lit" in missing else {**found, "lit": lit.lit(i)}
+    return found if "lit" in missing or not lit.shows(i) else {**found, "lit": lit.lit(i)}
 
 
 def true_depth(lit: Source, i: int) -> np.ndarray | None:
-    """True z-depth [h,w] of view `i`, inf where no surface is seen; None for photographs and scaled captures."""
+    """True z-depth [h,w] of view `i`, inf where no surface is seen, 0 where nobody measured it; None where it is not
+    known at all: of scaled captures, and of photographs without a scan.
+    """
+    if (scan := lit.scanned.get(i)) is not None:
+        return read_depth(scan)
     geometry = None if lit.scaled else lit.views.geometry(i)
     return None if geometry is None else geometry["z"]

@@ -3,7 +3,7 @@
 Radiance is float32 linear RGB [h,w,3]; lit images are float32 sRGB-encoded [h,w,3], 0..1.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -66,9 +66,20 @@ class Source:
     views: MultiviewSet
     rig: Rig  # of the scaled images
     console: Console  # where notes on single views go
-    lit_known: bool = True  # False: the views themselves are dark, and nothing shows them in good light
+    lit_views: frozenset[int] | None = None  # known in good light; None: all; empty: all views are dark
+    scan: Path | None = None  # measured points of the scene, in metres like the cameras
+    scanned: Mapping[int, Path] = field(default_factory=dict)  # measured depth of views (`imported.write_depth`)
     called: str = ""  # its name in messages; "" is the set and its folder
     reads: Reads = field(default_factory=dict, repr=False, compare=False)  # its JSON files, as opened
+
+    @property
+    def lit_known(self) -> bool:
+        """Whether a view is known in good light."""
+        return self.lit_views is None or bool(self.lit_views)
+
+    def shows(self, i: int) -> bool:
+        """Whether view `i` is known in good light."""
+        return self.lit_views is None or i in self.lit_views
 
     @property
     def title(self) -> str:
@@ -163,8 +174,11 @@ class Source:
         """The well-lit image of view `i`: the set's own, or the photograph itself.
 
         Raises:
-            ValueError: If the picture cannot be read, or the set's exposure is out of range.
+            ValueError: If there is none, the picture cannot be read, or the set's exposure is out of range.
         """
+        if not self.shows(i):
+            raise ValueError(f"view {self.views.names[i]} of {self.title} is not known in good light: import its "
+                             "well-lit picture too")  # fmt: skip
         if not self.scaled:
             self._say_background(i)
             return self.views.image(i).astype(np.float32) / 255

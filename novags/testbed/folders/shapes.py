@@ -27,6 +27,7 @@ IMPORT = {  # a capture.json of kind "imported"
     "sensor": (dict, None), "exposure": {"time": float, "temperature?": (float, None), "origin": [int],
     "line_time?": float}, "demosaic": str, "color_matrix": (Numbers(3, 3), None), "resampled": (str, None),
     "lit": ({"folder": str, "paired": str, "resampled?": int}, None), "dataset?": (str, None), "split?": str,
+    "lit_alone?": [str], "unlit?": [str], "unscanned?": [str],
     "clean": ({"folder": str, "paired": str, "gain": float, "white_share": float}, None),
     "views": int, "width": int, "height": int, "stage": {**STAGE, "inputs": {"*": str}},
 }  # fmt: skip
@@ -41,7 +42,8 @@ RUN = {
 }  # fmt: skip
 EXPERIMENT = {"command": (str, None), "preset": dict}
 GEOMETRY = {"abs_rel": MEASURED, "within_5_percent": MEASURED, "coverage": MEASURED, "floaters": MEASURED,
-            "consistency": {"excess": MEASURED}}  # fmt: skip
+            "consistency": {"excess": MEASURED}, "f1?": MEASURED, "accuracy?": MEASURED,
+            "completeness?": MEASURED}  # fmt: skip
 BLUR = {"psnr": MEASURED, "aligned_psnr": MEASURED, "sigma": float}
 SCORES = {
     "mean": {"*": ({"*": MEASURED}, None)}, "views": {"*": {"*": {"*": MEASURED}}}, "geometry?": (GEOMETRY, None),

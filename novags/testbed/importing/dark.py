@@ -1,9 +1,9 @@
 """A folder of dark photographs with their cameras, and the raw files that lie beside them."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 from shlex import quote
@@ -32,16 +32,24 @@ class Dark:
         source: Cameras and files, at the size of the capture.
         depth: Of the files that have cameras.
         raws: The raw file of each view; empty without them.
+        beside: Other files of a published data set, as `Dataset.beside`.
     """
 
     source: Source
     depth: Depth
     raws: tuple[Path, ...]
+    beside: Mapping[str, Path] = field(default_factory=dict)
 
     @property
     def files(self) -> tuple[Path, ...]:
         """The pictures that have cameras, one a view."""
         return self.source.views.files
+
+    @property
+    def dark_files(self) -> tuple[Path, ...]:
+        """The dark ones among them."""
+        alone = self.source.views.lit_alone
+        return tuple(file for i, file in enumerate(self.files) if i not in alone)
 
     def digest(self) -> str:
         """Hash of all its files that are read, wherever they are."""
@@ -49,7 +57,7 @@ class Dark:
         pictures = {f"images/{name}": file for name, file in zip(views.names, self.files, strict=True)}
         raws = {f"raw/{name}": file for name, file in zip(views.names, self.raws, strict=False)}
         points = {} if (file := views.points_file) is None else {"ply_file_path": file}
-        return folder_digest(views.path, READ_FROM, beside=pictures | raws | points)
+        return folder_digest(views.path, READ_FROM, beside=pictures | raws | points | dict(self.beside))
 
 
 def open_dark(
@@ -80,8 +88,9 @@ def open_dark(
     if bad := [file for file in files if file.suffix.lower() not in PICTURES]:
         raise ValueError(f"{bad[0]} is neither a photograph nor camera raw ({', '.join(PICTURES)}): convert it to "
                          "16-bit PNG")  # fmt: skip
-    depth = depth_of(files[0])
-    return Dark(source, depth, files if depth == "raw" else _raws_beside(folder, source))
+    depth = depth_of(next(file for i, file in enumerate(files) if i not in source.views.lit_alone))
+    beside = {} if dataset is None else dataset.beside(folder, source.views)
+    return Dark(source, depth, files if depth == "raw" else _raws_beside(folder, source), beside)
 
 
 def _without_cameras(folder: Path) -> NoReturn:

@@ -24,17 +24,23 @@ class Twins:
 
     Attributes:
         folder: Where they are.
-        files: In the order of the views.
+        files: In the order of the views; None: such a view has none.
         paired: How they were found: by "names", or by their "order".
     """
 
     folder: Path
-    files: tuple[Path, ...]
+    files: tuple[Path | None, ...]
     paired: str
+
+    @property
+    def there(self) -> tuple[Path, ...]:
+        """The files without the views that have none."""
+        return tuple(file for file in self.files if file is not None)
 
     def digest(self) -> str:
         """Hash of the files in the order of the views."""
-        return folder_digest(self.folder, (), beside={f"{i:06d}": file for i, file in enumerate(self.files)})
+        files = {f"{i:06d}": file for i, file in enumerate(self.files) if file is not None}
+        return folder_digest(self.folder, (), beside=files)
 
     def record(self) -> dict[str, Any]:
         """For capture.json."""
@@ -69,8 +75,16 @@ def plain_pictures(folder: Path) -> list[Path]:
     raise ValueError(f"{folder} holds no pictures ({', '.join(PICTURES)})")
 
 
+def lit_alone(dark: MultiviewSet) -> Twins:
+    """The well-lit pictures of a set that has them of the views without a dark one, and of no other."""
+    files = tuple(file if i in dark.lit_alone else None for i, file in enumerate(dark.files))
+    return Twins(dark.path, files, "names")
+
+
 def twins_of(dark: MultiviewSet, folder: Path, option: str, console: Console) -> Twins:
     """The picture in `folder` of each dark view: of the same name, or if no name agrees, in the same order.
+
+    The picture of a view without a dark one is its own.
 
     Args:
         dark: The dark set.
@@ -86,7 +100,7 @@ def twins_of(dark: MultiviewSet, folder: Path, option: str, console: Console) ->
         raise ValueError(f"{option}: no such folder: {folder}")
     refuse_exchanged(folder)
     with warnings_as_notes(console):
-        found = pictures_in(folder)
+        found = pictures_in(folder) | {dark.names[i]: dark.files[i] for i in dark.lit_alone}
     missing = [name for name in dark.names if name not in found]
     if not missing:
         if len(found) > len(dark):

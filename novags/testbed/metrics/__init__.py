@@ -1,7 +1,8 @@
 """Scores: pure functions of arrays that compare the results of a method with the truth.
 
 `METRICS` names the scores of pictures; `images` holds ours and computes all, `tone` aligns pictures first, `perceptual`
-is LPIPS, `st_lpips` a relative of it whose weights come in a package. `linear` compares light, `geometry` depth,
+is LPIPS, `st_lpips` a relative of it whose weights come in a package, `challenge` has the scores of a published
+protocol. `linear` compares light, `geometry` depth,
 `consistency` one view with another, `noise` finds the noise left.
 """
 
@@ -22,6 +23,8 @@ METRICS: Registry[Metric] = Registry(
         "delta_e": "novags.testbed.metrics.images:DELTA_E",
         "lpips": "novags.testbed.metrics.perceptual:LPIPS",
         "st_lpips": "novags.testbed.metrics.st_lpips:ST_LPIPS",
+        "jpeg_psnr": "novags.testbed.metrics.challenge:JPEG_PSNR",
+        "jpeg_ssim": "novags.testbed.metrics.challenge:JPEG_SSIM",
     },
     "novags.metrics",
     Metric,
@@ -42,3 +45,8 @@ def missing(width: int | None = None, height: int | None = None) -> Mapping[str,
 def networks() -> set[str]:
     """The names of the scores by networks."""
     return {name for name, metric in METRICS.items() if metric.missing is not None}
+
+
+def protocol_of(dataset: str | None) -> set[str]:
+    """The names of the scores that the protocol of a published data set asks for."""
+    return {name for name, metric in METRICS.items() if metric.protocol and metric.protocol == dataset}

@@ -1,10 +1,15 @@
-"""Scores of a method's expected depth against the true depth of a rendered scene.
+"""Scores of a method's expected depth against the true depth of a scene, and of its surface against a laser scan.
 
 Depths are z-depths [h,w] in scene units, in the true cameras' scale: multiply a method's depth by the depth scale of
 the camera alignment first. Where nothing is hit, a depth is 0, infinite or nan. Every score exists for every method
 that renders image, opacity and expected depth.
+
+Surfaces are scored as in the RealX3D benchmark (arXiv 2512.23437): both clouds thinned to 5 cm, means of the distances
+to the nearest point of the other cloud, and the F-score within 5 cm. Its clouds are registered by ICP before, because
+networks find their own cameras; cameras that are given need no registration, and a shift of the surface counts.
 """
 
+from collections.abc import Iterable
 from typing import TypedDict
 
 import numpy as np
@@ -13,6 +18,10 @@ from scipy.ndimage import minimum_filter
 
 TOLERANCE = 0.05  # relative: depths within it are right, opacity nearer than 1 - TOLERANCE of the surface is in front
 MIN_ALPHA = 0.5  # with less opacity than this, a pixel shows more background than surface and has no depth
+NEAR = 0.05  # m: within it a point is right
+SPACING = 0.05  # m: points of both clouds in a cube of this side become their mean
+
+Points = NDArray[np.float64]
 
 
 class GeometryScores(TypedDict):
@@ -89,3 +98,63 @@ def _check(depth: NDArray, alpha: NDArray, truth: NDArray) -> None:
     # 1e-3: the float32 sum of many blending weights exceeds 1 by rounding.
     if not ((alpha >= 0) & (alpha <= 1 + 1e-3)).all():
         raise ValueError(f"alpha must lie in 0..1, got values from {np.min(alpha):g} to {np.max(alpha):g}")
+
+
+class SurfaceScores(TypedDict):
+    """Distances in metres and shares; None where one of the clouds is empty."""
+
+    accuracy: float | None
+    completeness: float | None
+    f1: float | None
+
+
+def thinned(points: Points, spacing: float = SPACING) -> Points:
+    """The mean of the points [n,3] in each cube of side `spacing`, [m,3], in the order of the cubes."""
+    if not len(points):
+        return points
+    _, cube, count = np.unique(np.floor(points / spacing).astype(np.int64), axis=0, return_inverse=True,
+                               return_counts=True)  # fmt: skip
+    cube = cube.reshape(-1)
+    return np.stack([np.bincount(cube, points[:, k]) for k in range(3)], -1) / count[:, None]
+
+
+def seen_points(depth: NDArray, alpha: NDArray, K: NDArray, viewmat: NDArray) -> Points:
+    """The points [n,3] in the world that the z-depths of one view are of.
+
+    Args:
+        depth: z-depth [h,w] in the unit of the cameras; 0: none.
+        alpha: Opacity [h,w].
+        K: Intrinsics [3,3], pixel centres at +0.5.
+        viewmat: World to camera [4,4].
+    """
+    there = np.isfinite(depth) & (depth > 0) & (alpha >= MIN_ALPHA)
+    y, x = np.nonzero(there)
+    z = depth[there].astype(np.float64)
+    local = np.stack([(x + 0.5 - K[0, 2]) / K[0, 0] * z, (y + 0.5 - K[1, 2]) / K[1, 1] * z, z], -1)
+    return np.asarray((local - viewmat[:3, 3]) @ viewmat[:3, :3], np.float64)
+
+
+def surface_scores(views: Iterable[Points], scan: Points) -> SurfaceScores:
+    """Compare the points of some views with the points of a scan, `thinned` both.
+
+    - `accuracy`: mean distance of a point of the views to the scan.
+    - `completeness`: mean distance of a point of the scan to the views.
+    - `f1`: harmonic mean of the shares of both that are within `NEAR` of the other.
+
+    Args:
+        views: The points [n,3] of each view, m.
+        scan: [m,3], m.
+    """
+    from scipy.spatial import cKDTree
+
+    found, truth = thinned(np.concatenate([*views, np.zeros((0, 3))])), thinned(scan)
+    if not (len(found) and len(truth)):
+        return {"accuracy": None, "completeness": None, "f1": None}
+    there, back = cKDTree(truth).query(found)[0], cKDTree(found).query(truth)[0]
+    precision, recall = float((there <= NEAR).mean()), float((back <= NEAR).mean())
+    both = precision + recall
+    return {
+        "accuracy": float(there.mean()),
+        "completeness": float(back.mean()),
+        "f1": 2 * precision * recall / both if both > 0 else 0.0,
+    }

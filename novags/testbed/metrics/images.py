@@ -127,14 +127,15 @@ DELTA_E = Metric(heading="ΔE2000", score=delta_e, more=False, digits=2, in_stud
 
 
 def image_scores(
-    image: Image, reference: Image, networks: Collection[str] = (), halves: Halves | None = None
+    image: Image, reference: Image, asked: Collection[str] = (), halves: Halves | None = None
 ) -> ImageScores:
     """All scores of one image against one reference in 0..1.
 
     Args:
         image: What was rendered; it may overshoot 0..1.
         reference: The truth.
-        networks: Which of the scores by networks to compute; the others are None.
+        asked: Which of the scores by networks to compute, the others are None, and which of a data set's protocol,
+            the others are left out.
         halves: The reference from each half of its samples, where it was rendered: its noise is taken out of every
             PSNR, and measured in our other scores. None: the reference counts as it is.
 
@@ -149,10 +150,12 @@ def image_scores(
     contrast = with_contrast(reference)
     found: ImageScores = {}
     for name, metric in METRICS.items():
-        asked = metric.missing is None or name in networks
+        if metric.protocol and name not in asked:
+            continue
         channels = np.ones(3, bool) if metric.aligned == "none" else contrast
         score = metric.score if METRICS.origin_of(name) is None else partial(_of_others, name)
-        found[name] = _over(channels, score, pictures[metric.aligned], reference) if asked else None
+        wanted = metric.missing is None or name in asked
+        found[name] = _over(channels, score, pictures[metric.aligned], reference) if wanted else None
     if halves is None:
         return found
     against = [image_scores(image, half) for half in halves]
@@ -162,8 +165,8 @@ def image_scores(
 
 def _unsquared() -> list[str]:
     """Our scores of which the noise of the truth is measured and not taken out: not those by networks."""
-    return [name for name, metric in METRICS.items()
-            if not metric.squared and metric.missing is None and METRICS.origin_of(name) is None]  # fmt: skip
+    return [name for name, metric in METRICS.items() if not (metric.squared or metric.protocol)
+            and metric.missing is None and METRICS.origin_of(name) is None]  # fmt: skip
 
 
 def _bias(score: float | None, of_halves: Sequence[float | None]) -> float | None:

@@ -25,6 +25,7 @@ class Metric:
             Other scores keep the bias that the truth's noise gives them; it is measured beside them.
         missing: (width, height) -> why it cannot be computed here, of pictures of that size if one is given; None if it
             can. For scores by networks, whose weights may not be there.
+        protocol: The published data set whose protocol it belongs to: of other captures it is not computed; "" for all.
     """
 
     heading: str
@@ -36,3 +37,4 @@ class Metric:
     in_studies: bool = True
     squared: bool = False
     missing: Callable[..., str | None] | None = None
+    protocol: str = ""

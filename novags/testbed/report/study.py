@@ -128,4 +128,4 @@ def _opened(path: Path) -> tuple[Capture, Source]:
     if capture.record.imported or capture.set_path is not None:
         return capture, capture.source(QUIET)
     views = replace(capture.cameras, kind="photographs", meta={})
-    return capture, Source(views=views, rig=views.rig, console=QUIET, lit_known=False)
+    return capture, Source(views=views, rig=views.rig, console=QUIET, lit_views=frozenset())

@@ -22,6 +22,9 @@ _FIXED = {
         ("coverage", "covered", "", True),
         ("floaters", "floaters", "", False),
         ("consistency", "colour change between views", "", False),
+        ("f1", "F1 within 5 cm", "", True),
+        ("accuracy", "off the scan", "m", False),
+        ("completeness", "of the scan missed by", "m", False),
     ),
     "noise": (
         ("renders", "left in renderings", "", False),

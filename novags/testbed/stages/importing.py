@@ -10,17 +10,19 @@ import numpy as np
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders import capture as capture_folder
 from novags.testbed.folders.capture import has_view
-from novags.testbed.folders.imported import write_clean
+from novags.testbed.folders.imported import SCAN, write_clean, write_depth
 from novags.testbed.folders.set import say_stated
 from novags.testbed.importing.clean import Match, match_clean, tone_gain
 from novags.testbed.importing.dark import Dark, open_dark
 from novags.testbed.importing.darkroom import Darkroom
 from novags.testbed.importing.exposures import OF_CLEAN, check_exposed_alike
 from novags.testbed.importing.published.datasets import DATASETS, Dataset, dataset_of
+from novags.testbed.importing.published.realx3d import read_depth
 from novags.testbed.importing.raw_camera import raw_camera
 from novags.testbed.importing.stored import Codes16, is_lossy, read_stored
-from novags.testbed.importing.twins import Twins, twins_by_order, twins_of
+from novags.testbed.importing.twins import Twins, lit_alone, twins_by_order, twins_of
 from novags.testbed.ledger.stage import run_stage
+from novags.testbed.metrics.geometry import thinned
 from novags.testbed.stages.capturing import files_of
 from novags.testbed.stages.configs.importing import ImportConfig
 from novags.testbed.stages.paths import keep_apart
@@ -29,8 +31,12 @@ from sensor_model.isp import to_linear16
 from sensor_model.params import Exposure
 from simscenes.sets.multiview import write_cameras
 from simscenes.sets.pictures.png import write_png
+from simscenes.sets.readers.ply_points import read_ply_points
+from simscenes.sets.writers.neighbours import write_points
 
 CODES = 6  # different ones in a picture, from which on a common divisor is no accident
+BRIGHTER, LOOKED_AT = 8.0, 4  # times; views of each kind. RealX3D's lit pictures have 40 times the light of the dark
+SMALLEST_LIGHT = 1e-6  # of white: black pictures would divide by zero
 OWN_TONE = 1.25  # or more times the light of the raw files is a camera's tone curve, not the rounding to 8 bits
 
 
@@ -106,6 +112,11 @@ def material_of(folder: Path, config: ImportConfig, console: Console) -> ImportI
     )
     if lit is None and dataset is not None and (place := dataset.lit(folder)) is not None:
         lit = twins_by_order(views, place) if dataset.by_order else twins_of(views, place, "its", console)
+    if clean is not None and views.lit_alone:
+        raise ValueError(f"--clean needs a dark picture of every view, and {folder} has none of {len(views.lit_alone)} "
+                         "held-out views: add --split every8, which leaves these out")  # fmt: skip
+    if lit is None and views.lit_alone:
+        lit = lit_alone(views)
     if dataset is not None and lit is None and clean is None:
         console.note(f"import: {folder} has no lit pictures, so that there is nothing to score against (--lit)")
     return ImportInput(dark, lit, clean, dataset)
@@ -128,9 +139,9 @@ def prepare(material: ImportInput, config: ImportConfig, console: Console) -> Pr
     dark = material.dark
     camera = raw_camera(dark.raws[0], config.camera, config.demosaic) if dark.raws else None
     darkroom = Darkroom(views=dark.source.views, rig=dark.source.rig, codes=config.codes, camera=camera)
-    files = [(file, False) for group in (dark.files, dark.raws) for file in group]
+    files = [(file, False) for group in (dark.dark_files, dark.raws) for file in group]
     given = [twins for twins in (material.lit, material.clean) if twins is not None]
-    files += [(file, twins is material.lit) for twins in given for file in twins.files]
+    files += [(file, twins is material.lit) for twins in given for file in twins.there]
     total = len(files) + (len(dark.files) if material.clean else 0)
     match, resampled, depths = None, 0, set[str]()
     with console.progress("import: files") as progress:
@@ -138,17 +149,17 @@ def prepare(material: ImportInput, config: ImportConfig, console: Console) -> Pr
             depth, off = darkroom.check(file, lit=lit)
             resampled += off
             depths.add(depth)
-            if done < len(dark.files) and depth != dark.depth:
-                raise ValueError(f"{file} is {depth}, {dark.files[0].name} {dark.depth}: import files of one kind")
+            if done < len(dark.dark_files) and depth != dark.depth:
+                raise ValueError(f"{file} is {depth}, {dark.dark_files[0].name} {dark.depth}: import files of one kind")
             progress(done + 1, total, file.name)
         if material.clean is not None:
-            match = match_clean(dark, material.clean.files, darkroom, progress, len(files), total)
+            match = match_clean(dark, material.clean.there, darkroom, progress, len(files), total)
             _say_tone(tone_gain(dark, darkroom), console)
     if config.time is None:
-        for group in dict.fromkeys((dark.files, dark.raws)):  # raw files alone are both
+        for group in dict.fromkeys((dark.dark_files, dark.raws)):  # raw files alone are both
             check_exposed_alike(group)
     if material.clean is not None:
-        check_exposed_alike(material.clean.files, OF_CLEAN)
+        check_exposed_alike(material.clean.there, OF_CLEAN)
     if resampled:
         console.warn(f"{resampled} of {len(dark.files)} lit pictures are a pixel larger or smaller than the dark ones: "
                      "resampled to their size")  # fmt: skip
@@ -187,18 +198,24 @@ def _say_spaced(file: Path, console: Console) -> None:
 
 def _say(dark: Dark, darkroom: Darkroom, config: ImportConfig, match: Match | None, console: Console) -> None:
     """Assumptions about the photographs, and losses in the import."""
-    for file in dict.fromkeys((*dark.files, *dark.raws)):
+    if alone := dark.source.views.lit_alone:
+        console.note(f"import: {len(alone)} held-out views are known in good light only: they are scored, and have no "
+                     "dark picture")  # fmt: skip
+    elif (times := held_out_brighter(dark, darkroom)) > BRIGHTER:
+        console.warn(f"held-out pictures of {dark.source.views.path} are {times:.0f} times as bright as the others: "
+                     "if they are lit ones, as of RealX3D, give --dataset; else every score is wrong")  # fmt: skip
+    for file in dict.fromkeys((*dark.dark_files, *dark.raws)):
         say_stated(file, dark.source.views.path, console)
     for doubt in dark.source.picture_doubts(lambda i: darkroom.srgb8(dark.files[i], i)):
         console.warn(f"{dark.source.views.path}: {doubt}")
     if dark.depth == "16bit":
-        curve = config.codes.of(dark.files[0]).curve
+        curve = config.codes.of(dark.dark_files[0]).curve
         says = ", as the files say" if config.curve == "auto" and curve != "linear" else ""
         console.note(
             f"import: 16-bit files: code {config.black:g} is black, {config.white:g} white, {curve} in between{says} "
             "(--black, --white, --curve)"
         )
-        _say_spaced(dark.files[0], console)
+        _say_spaced(dark.dark_files[0], console)
     if darkroom.resampled and (dark.raws or config.camera):
         kept = "no raw frames" if dark.raws else ""
         noise = "no known noise" if config.camera else ""
@@ -213,6 +230,20 @@ def _say(dark: Dark, darkroom: Darkroom, config: ImportConfig, match: Match | No
             console.warn(f"{match.white_share:.1%} of the clean pictures is white, where they are too dark a reference")
 
 
+def held_out_brighter(dark: Dark, darkroom: Darkroom) -> float:
+    """How many times as much light the held-out pictures have as the others, by the median of a few of each; 1 where
+    the folder itself holds none out.
+    """
+    views = dark.source.views
+    if views.held_out is None:
+        return 1.0
+    tested, others = (
+        np.median([darkroom.linear(dark.files[i], i).mean() for i in indices[:: -(-len(indices) // LOOKED_AT)]])
+        for indices in (views.test_indices, views.train_indices)
+    )
+    return float(tested / max(others, SMALLEST_LIGHT))
+
+
 def import_views(
     material: ImportInput, prepared: PreparedImport, folder: Path, config: ImportConfig, console: Console
 ) -> dict[str, Any]:
@@ -225,10 +256,16 @@ def import_views(
     views, rig = dark.source.views, darkroom.rig
     with console.progress("import") as progress:
         for i, name in enumerate(views.names):
-            if not has_view(folder, name):
+            if not has_view(folder, name, "lit" if i in views.lit_alone else "images"):
                 import_view(material, prepared, i, name, folder, exposure_of(config, darkroom))
             progress(i + 1, len(views), f"view {name}")
-    write_cameras(folder, views.names, rig, points=dark.source.points(), held_out=views.test_indices, scene=views.scene)
+    write_cameras(
+        folder, views.names, rig, points=dark.source.points(), held_out=views.test_indices, scene=views.scene,
+        lit_alone=views.lit_alone,
+    )  # fmt: skip
+    if (scan := dark.beside.get("scan")) is not None:
+        points = thinned(read_ply_points(scan, most=None).about(views.origin).xyz)
+        write_points(folder / SCAN, points, np.full(points.shape, 128, np.uint8))
     return record_of(material, prepared, config)
 
 
@@ -237,10 +274,14 @@ def import_view(
 ) -> None:
     """Write all forms of one view; the 8-bit picture, which says that the view is complete, last."""
     dark, darkroom = material.dark, prepared.darkroom
-    if material.lit is not None:
-        write_png(folder / "lit" / f"{name}.png", darkroom.lit8(material.lit.files[i], i))
-    if material.clean is not None and prepared.match is not None:
-        light = darkroom.linear(material.clean.files[i], i) * np.float32(prepared.match.gain)
+    if (scanned := dark.beside.get(f"depth/{name}")) is not None:
+        write_depth(folder, name, read_depth(scanned, darkroom.rig.width, darkroom.rig.height))
+    if material.lit is not None and (lit := material.lit.files[i]) is not None:
+        write_png(folder / "lit" / f"{name}.png", darkroom.lit8(lit, i))
+    if i in dark.source.views.lit_alone:
+        return
+    if material.clean is not None and prepared.match is not None and (clean := material.clean.files[i]) is not None:
+        light = darkroom.linear(clean, i) * np.float32(prepared.match.gain)
         write_clean(folder, name, light)
     if holds_raw(dark, darkroom):
         dn, sensor = darkroom.frame(dark.raws[i])
@@ -272,8 +313,14 @@ def record_of(material: ImportInput, prepared: PreparedImport, config: ImportCon
         sensor = darkroom.frame(dark.raws[0])[1]
         raw = {"cfa": sensor.cfa, "black": sensor.black_level, "white": sensor.white_dn}
     sixteen = bool(dark.raws) or dark.depth == "16bit"
-    jpeg = any(is_lossy(file) for file in dark.files)
-    parts = {"images16": sixteen, "raw": raw is not None, "truth": match is not None, "lit": material.lit is not None}
+    jpeg = any(is_lossy(file) for file in dark.dark_files)
+    views, lit = dark.source.views, material.lit
+    scanned = [name for name in views.names if f"depth/{name}" in dark.beside]
+    parts = {"images16": sixteen, "raw": raw is not None, "truth": match is not None, "lit": material.lit is not None,
+             "depth": bool(scanned), "scan": "scan" in dark.beside}  # fmt: skip
+    unlit = [] if lit is None else [name for name, file in zip(views.names, lit.files, strict=True) if file is None]
+    incomplete = {"lit_alone": [views.names[i] for i in views.lit_alone], "unlit": unlit,
+                  "unscanned": [name for name in views.names if scanned and name not in scanned]}  # fmt: skip
     return {
         "kind": "imported",
         "scene": Path(os.path.abspath(dark.source.views.path)).name,
@@ -292,6 +339,7 @@ def record_of(material: ImportInput, prepared: PreparedImport, config: ImportCon
         "dataset": None if material.dataset is None else material.dataset.name,
         "split": config.split,
         "clean": None if material.clean is None or match is None else material.clean.record() | asdict(match),
+        **{what: names for what, names in incomplete.items() if names},
         "views": len(dark.source.views),
         "width": darkroom.rig.width,
         "height": darkroom.rig.height,

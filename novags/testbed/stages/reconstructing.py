@@ -177,9 +177,8 @@ def said_memory(config: ReconstructConfig, views: int, capture: Capture, console
 
 def lit_mean(source: Source, indices: list[int]) -> float | None:
     """Mean luminance of the well-lit pictures of some views, sRGB code; None where they are not known."""
-    if not source.lit_known:
-        return None
-    return float(np.mean([source.lit(i) @ np.array([0.299, 0.587, 0.114]) for i in indices]))
+    found = [float((source.lit(i) @ np.array([0.299, 0.587, 0.114])).mean()) for i in indices if source.shows(i)]
+    return float(np.mean(found)) if found else None
 
 
 def true_surface(capture: Capture, source: Source, indices: list[int], name: str) -> TrueSurface:

@@ -109,6 +109,7 @@ class _Watch:
     after: Callable[[list[Path]], None] | None = None
     over: set[str] = field(default_factory=set)
     under_way: dict[str, tuple[float, At]] = field(default_factory=dict)
+    pace: dict[str, "Pace"] = field(default_factory=dict)  # of the stage that a task is at
     _write_at: float = 0.0
     _left: tuple[float, float] = (0.0, 0.0)  # seconds left, and when to count again
 
@@ -121,10 +122,14 @@ class _Watch:
     def progress(self, key: str, stage: str, done: int, total: int, what: str) -> None:
         since, _ = self.under_way[key]
         self.under_way[key] = (since, (stage, done, total, what))
+        pace = self.pace.get(key)
+        if pace is None or (pace.stage, pace.total) != (stage, total) or done < pace.first:
+            self.pace[key] = Pace(stage, total, done, time.monotonic())
 
     def ended(self, key: str, outcome: Outcome) -> None:
         task = self.plan.tasks[key]
         _, (stage, *_) = self.under_way.pop(key, (0.0, ("", 0, 0, "")))
+        self.pace.pop(key, None)
         self.over.add(key)
         if outcome.state == "done" and outcome.said["made"]:
             self.costs.add(task.kind, outcome.said["cost"])
@@ -172,11 +177,27 @@ class _Watch:
         self.shown.show(len(done), failed, under_way, self._left[0])
 
     def seconds_left(self) -> dict[str, float]:
-        """Predicted seconds of every task that is not over."""
-        found = {}
+        """Predicted seconds of every task that is not over; of one under way at least what its own pace says."""
+        found, now = {}, time.monotonic()
         for key, task in self.plan.tasks.items():
             if key not in self.over:
-                seconds = KEPT if key in self.known else self.costs.predicted(task).seconds
-                since = self.under_way.get(key, (None, None))[0]
-                found[key] = seconds if since is None else max(0.0, seconds - (time.monotonic() - since))
+                found[key] = KEPT if key in self.known else self.costs.predicted(task).seconds
+                if key in self.under_way:
+                    since, (_, done, _, _) = self.under_way[key]
+                    measured = self.pace[key].left(done, now) if key in self.pace else 0.0
+                    found[key] = max(found[key] - (now - since), measured, 0.0)
         return found
+
+
+@dataclass(frozen=True)
+class Pace:
+    """When a stage of a task began, as its progress told."""
+
+    stage: str
+    total: int  # steps in all
+    first: int  # steps done when it was first heard of
+    since: float  # s, `time.monotonic`
+
+    def left(self, done: int, now: float) -> float:
+        """Seconds that the rest of the stage takes at the pace so far; 0 before a step is done."""
+        return (now - self.since) / (done - self.first) * max(self.total - done, 0) if done > self.first else 0.0

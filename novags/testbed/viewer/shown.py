@@ -84,11 +84,13 @@ class Shown:
         """
         run, view = self.runs[name], self.capture.names[i]
         if kind == "dark":
-            return self.capture.srgb8(i)
+            return self.capture.srgb8(i) if self.capture.is_dark(i) else None
         if kind == "true":
-            return self.source.lit(i)
+            return self.source.lit(i) if self.source.shows(i) else None
         if kind == "enhanced":
-            return None if run.enhancement is None else enhanced_dark(self.capture, i, run.enhancement)
+            if run.enhancement is None or not self.capture.is_dark(i):
+                return None
+            return enhanced_dark(self.capture, i, run.enhancement)
         if kind == "rendered":
             known = i in self.capture.cameras.test_indices or run.shows_training_views
             return self.on_screen(name, run.rendering(view)) if known else None

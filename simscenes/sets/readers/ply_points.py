@@ -70,8 +70,8 @@ def notes_on_points(content: dict[str, Any], source: Path) -> list[str]:
     return []
 
 
-def read_ply_points(path: Path) -> SparsePoints:
-    """The points of a PLY file, of which nobody said who sees them; of more than `MOST` an even choice.
+def read_ply_points(path: Path, most: int | None = MOST) -> SparsePoints:
+    """The points of a PLY file, of which nobody said who sees them; of more than `most` an even choice (None: all).
 
     Raises:
         ValueError: If it is not a PLY file of points, is cut short, or has a coordinate that is not finite.
@@ -89,8 +89,8 @@ def read_ply_points(path: Path) -> SparsePoints:
     if bad := int((~np.isfinite(xyz).all(-1)).sum()):
         raise ValueError(f"{path}: coordinates of points must be finite, {bad} of {len(xyz)} are not; {REMEDY}")
     rgb = _colours(table, len(xyz))
-    if len(xyz) > MOST:
-        chosen = np.sort(np.random.default_rng(0).choice(len(xyz), MOST, replace=False))
+    if most is not None and len(xyz) > most:
+        chosen = np.sort(np.random.default_rng(0).choice(len(xyz), most, replace=False))
         xyz, rgb = xyz[chosen], rgb[chosen]
     return SparsePoints.untracked(xyz, rgb)
 

@@ -1,13 +1,14 @@
 """The outer files of a set folder: cameras in the form COLMAP, nerfstudio, gsplat's trainer and nerfbaselines read.
 
-A set and a capture share these files; images are named `images/<name>.png`.
+A set and a capture share these files; images are named `images/<name>.png`, or `lit/<name>.png` of a view that no
+dark picture shows.
 """
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +44,7 @@ def write_cameras(
     held_out: Sequence[int] | None = None,
     depth_dir: str | None = None,
     scene: str | None = None,
+    lit_alone: Collection[int] = (),
 ) -> None:
     """Write transforms.json, sparse/0/*.bin, points3D.ply, a list of files for each split, and nb-info.json.
 
@@ -56,6 +58,8 @@ def write_cameras(
         held_out: Places of the views for testing; None: every 8th, from 0.
         depth_dir: Folder of the depth images of all views, relative to `folder`; None if the set has no depth.
         scene: The scene's name.
+        lit_alone: Places of held-out views without a file in images/: transforms.json names their picture in lit/, and
+            sparse/0, whose readers look into images/ alone, leaves them out.
 
     Raises:
         ValueError: If names are not safe, different and sorted, or do not match the rig.
@@ -67,8 +71,9 @@ def write_cameras(
     tested = {i for i in range(len(files)) if is_test_view(i)} if held_out is None else set(held_out)
     test = [f for i, f in enumerate(files) if i in tested]
     train = [f for i, f in enumerate(files) if i not in tested]
-    _write_colmap(folder / "sparse" / "0", files, rig, points)
-    transforms = _transforms(rig, files, train, test, depth_dir)
+    _write_colmap(folder / "sparse" / "0", files, rig, points, lit_alone)
+    pictures = [f"{'lit' if i in lit_alone else 'images'}/{f}" for i, f in enumerate(files)]
+    transforms = _transforms(rig, pictures, tested, None if depth_dir is None else [f"{depth_dir}/{f}" for f in files])
     xyz = np.zeros((0, 3)) if points is None else points.xyz
     transforms |= instant_ngp_box(rig.positions, xyz)
     if points is not None and len(points):
@@ -88,17 +93,18 @@ def nerfbaselines_info(scene: str | None) -> dict[str, Any]:
     return {**loader, "id": "novags", **({} if scene is None else {"scene": scene})}
 
 
-def _transforms(rig: Rig, files: list[str], train: list[str], test: list[str], depth_dir: str | None) -> dict[str, Any]:
+def _transforms(rig: Rig, pictures: list[str], tested: set[int], depths: list[str] | None) -> dict[str, Any]:
     """Camera file of nerfstudio; all distortion keys are there because nerfbaselines fails on a partial set."""
     frames: list[dict[str, Any]] = [
-        {"file_path": f"images/{f}", "transform_matrix": pose.tolist()}
-        for f, pose in zip(files, opencv_to_opengl(rig.viewmats), strict=True)
+        {"file_path": file, "transform_matrix": pose.tolist()}
+        for file, pose in zip(pictures, opencv_to_opengl(rig.viewmats), strict=True)
     ]
+    test = [file for i, file in enumerate(pictures) if i in tested]
     one_lens = bool((rig.Ks == rig.Ks[0]).all())
     shared: dict[str, Any] = fields_of_view(rig.Ks[0], rig.width, rig.height) if one_lens else {}
     for i, frame in enumerate(frames):
-        if depth_dir is not None:
-            frame["depth_file_path"] = f"{depth_dir}/{files[i]}"
+        if depths is not None:
+            frame["depth_file_path"] = depths[i]
         K = rig.Ks[i]
         camera = {"fl_x": K[0, 0], "fl_y": K[1, 1], "cx": K[0, 2], "cy": K[1, 2]}
         (shared if one_lens else frame).update({k: float(v) for k, v in camera.items()})
@@ -109,9 +115,9 @@ def _transforms(rig: Rig, files: list[str], train: list[str], test: list[str], d
         **shared,
         **dict.fromkeys(("k1", "k2", "k3", "k4", "p1", "p2"), 0.0),
         "orientation_override": "none",
-        "train_filenames": [f"images/{f}" for f in train],
-        "val_filenames": [f"images/{f}" for f in test],
-        "test_filenames": [f"images/{f}" for f in test],
+        "train_filenames": [file for i, file in enumerate(pictures) if i not in tested],
+        "val_filenames": test,
+        "test_filenames": test,
         "frames": frames,
     }
 
@@ -122,7 +128,9 @@ def fields_of_view(K: NDArray[np.float64], width: int, height: int) -> dict[str,
     return {"camera_angle_x": x, "camera_angle_y": y, "x_fov": math.degrees(x), "y_fov": math.degrees(y)}
 
 
-def _write_colmap(folder: Path, files: list[str], rig: Rig, points: SparsePoints | None) -> None:
+def _write_colmap(
+    folder: Path, files: list[str], rig: Rig, points: SparsePoints | None, left_out: Collection[int]
+) -> None:  # fmt: skip
     import pycolmap
 
     points = SparsePoints.untracked(np.zeros((0, 3)), np.zeros((0, 3))) if points is None else points
@@ -136,6 +144,8 @@ def _write_colmap(folder: Path, files: list[str], rig: Rig, points: SparsePoints
         reconstruction.add_camera_with_trivial_rig(camera)
     tracks = [pycolmap.Track() for _ in range(len(points))]
     for c, file in enumerate(files):
+        if c in left_out:
+            continue
         pose = pycolmap.Rigid3d(rig.viewmats[c, :3, :4])
         mine = slice(*np.searchsorted(points.view, [c, c + 1]))
         image = pycolmap.Image(

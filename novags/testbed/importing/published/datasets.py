@@ -1,7 +1,7 @@
 """The published data sets, one row each, and which of them a folder is of.
 
-A scene is a folder. LOM is known by the content of its scenes. The others look like many folders, so that a folder
-above has to bear the name of the data set, in upper or lower case.
+A scene is a folder. LOM is known by the content of its scenes, and so is RealX3D where it has the lit twins. The others
+look like many folders, so that a folder above has to bear the name of the data set, in upper or lower case.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -9,7 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from novags.testbed.importing.published import lom, posed
+from novags.testbed.importing.published import lom, posed, realx3d
 from novags.testbed.importing.split import Split
 from sensor_model.files.reading import some
 from simscenes.sets.multiview import MultiviewSet
@@ -31,6 +31,10 @@ class Dataset:
         open_scene: The dark pictures of a scene with their cameras.
         lit: The folder of a scene's well-lit pictures; None if it has none.
         by_order: Lit and dark pictures pair by the order of their names, not by their names.
+        proves: Whether the content of a folder leaves no doubt, whatever the folders above it are called.
+        scene_name: What a scene is called beside the others.
+        beside: Other files that are read, outside the folder too: "depth/NAME", which `realx3d.read_depth` reads, is
+            the measured depth of a view, "scan" a PLY file of measured points in metres.
     """
 
     name: str
@@ -41,10 +45,13 @@ class Dataset:
     open_scene: Callable[[Path, Split], MultiviewSet]
     lit: Callable[[Path], Path | None]
     by_order: bool = False
+    proves: Callable[[Path], bool] = lambda folder: False
+    scene_name: Callable[[Path], str] = lambda folder: folder.name
+    beside: Callable[[Path, MultiviewSet], dict[str, Path]] = lambda folder, views: {}
 
     def holds(self, folder: Path) -> bool:
         """Whether a folder is a scene of this data set."""
-        return self.fits(folder) and (not self.named or _owner(folder) == self.name)
+        return self.fits(folder) and (not self.named or _owner(folder) == self.name or self.proves(folder))
 
 
 _ROWS = (
@@ -67,6 +74,13 @@ _ROWS = (
         name="MVTV", home="https://github.com/XuJiacong/Thermal-NeRF",
         layout="images/ (visible light, 16-bit PNG or TIFF, or raw), sparse/0 or transforms.json", named=True,
         fits=posed.has_cameras, open_scene=posed.open_scene, lit=posed.lit_inside,
+    ),
+    Dataset(
+        name="RealX3D", home="https://huggingface.co/datasets/ToferFish/RealX3D",
+        layout="train/ (dark), val/ (lit, the same names), test/ (lit), sparse/0, transforms_train.json, "
+               "transforms_test.json; pointclouds/SCENE of the same release above", named=True,
+        fits=realx3d.is_scene, open_scene=realx3d.open_scene, lit=realx3d.lit, proves=realx3d.is_paired,
+        scene_name=realx3d.scene_name, beside=realx3d.beside,
     ),
 )  # fmt: skip
 DATASETS: dict[str, Dataset] = {row.name: row for row in _ROWS}
@@ -91,7 +105,7 @@ def scenes_below(root: Path) -> dict[str, dict[str, Path]]:
         raise ValueError(f"no such folder: {root}")
     found: dict[str, dict[str, Path]] = {}
     for dataset, folder in _walk(root, DEPTH):
-        scenes, name = found.setdefault(dataset.name, {}), posed.places(folder)[0].name
+        scenes, name = found.setdefault(dataset.name, {}), dataset.scene_name(posed.places(folder)[0])
         if name in scenes:
             raise ValueError(f"{scenes[name]} and {folder} are both the scene {name} of {dataset.name}: move one away")
         scenes[name] = folder

@@ -38,6 +38,8 @@ def signal(material: Material, page: Page) -> dict[str, Any] | None:
 def histogram(capture: Capture, indices: Sequence[int]) -> dict[str, str] | None:
     """The histogram of these views with a sentence on it; None where there is nothing to draw."""
     if capture.imported or capture.sensor is None:
+        if not (indices := [i for i in indices if capture.is_dark(i)]):
+            return None
         codes = np.concatenate([255 * capture.srgb8(i).reshape(-1, 3) for i in indices])
         edges = np.linspace(0.0, 256.0, 65)
         text = f"How bright the pixels of the {len(indices)} views shown are, in 8-bit codes (sRGB)."

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from novags.methods.problem import encode
-from novags.testbed.folders.references import LINEAR, enhanced_dark, pictured, references
+from novags.testbed.folders.references import LINEAR, enhanced_dark, pictured, references, true_depth
 from novags.testbed.folders.run import Run
 from novags.testbed.report.look.album import Album, Picture, Script
 from novags.testbed.report.look.maps import depth_map, error_map, normal_map, normals_of_depth
@@ -103,8 +103,9 @@ def view_tiles(i: int, place: Place, album: Album, called: str = "") -> ViewTile
     title = f"{called}, view {name}" if called else name
     run, tiles = runs[main], _Tiles(album, title if called else f"view {name}")
     evened = ", brought to the exposure and white balance of all" if capture.record.uneven.exposures else ""
-    tiles.add("dark", "Dark input", f"what the camera delivers, 8-bit sRGB{evened}", capture.srgb8(i))
-    if run.enhancement is not None:
+    if capture.is_dark(i):
+        tiles.add("dark", "Dark input", f"what the camera delivers, 8-bit sRGB{evened}", capture.srgb8(i))
+    if capture.is_dark(i) and run.enhancement is not None:
         noisy = enhanced_dark(capture, i, run.enhancement)
         tiles.add("enhanced", "Enhanced", "the dark input made bright, noise included", noisy)
     if (denoised := run.path / "denoised" / f"{name}.png").exists():
@@ -175,8 +176,8 @@ def _add_geometry(tiles: _Tiles, i: int, place: Place, runs: Mapping[str, Run]) 
         depth, alpha = run.depth(capture.names[i])
         if (alpha > 0.5).any():
             found[name] = (depth * run.depth_scale, alpha > 0.5)
-    if geometry is not None:
-        found[""] = (geometry["z"], np.isfinite(geometry["z"]))
+    if (truth := true_depth(lit, i)) is not None:
+        found[""] = (truth, np.isfinite(truth) & (truth > 0))
     scale = next((found[name] for name in (place.main, "", *found) if name in found and found[name][1].any()), None)
     if scale is None:
         return
@@ -189,11 +190,11 @@ def _add_geometry(tiles: _Tiles, i: int, place: Place, runs: Mapping[str, Run]) 
             tiles.add("depth-true", "Truth: depth", "of the scene, on the same scale", picture)
     rig = capture.cameras.rig
     for name, (z, seen) in found.items():
-        if name:
+        if name or geometry is None:
             normals = normals_of_depth(np.where(seen, z, 0.0), np.asarray(rig.Ks[i], np.float64))
             note = "of the surface that its depth makes"
-            tiles.add(f"normal-{name}", f"{name}: normals", note, normal_map(normals, seen))
+            label = f"{name}: normals" if name else "Truth: normals"
+            tiles.add(f"normal-{name or 'true'}", label, note, normal_map(normals, seen))
         else:
-            assert geometry is not None
             turned = geometry["geometric_normals"] @ np.asarray(rig.viewmats[i], np.float64)[:3, :3].T
             tiles.add("normal-true", "Truth: normals", "of the scene, camera axes", normal_map(turned, seen))

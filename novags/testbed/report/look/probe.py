@@ -34,7 +34,7 @@ def probe_of(capture: Capture, i: int) -> Probe | None:
     `floor`; `linear` and `linear_mean`, the developed light of this exposure and of the noise-free one, 1 = white,
     where they are not a multiple of `dn` and of `mean`.
     """
-    if not capture.holds("raw"):
+    if not (capture.holds("raw") and capture.is_dark(i)):
         return None
     cfa, black, white = capture.levels
     sensor = capture.sensor

@@ -17,7 +17,7 @@ from novags.testbed.folders.references import LINEAR, true_depth
 from novags.testbed.folders.set import Source, open_source, say_stated
 from novags.testbed.importing.pictures import ForeignPicture, find_renders, read_picture
 from novags.testbed.ledger.dry import NOT_DONE, planned
-from novags.testbed.metrics import missing, networks
+from novags.testbed.metrics import missing, networks, protocol_of
 from novags.testbed.metrics.geometry import geometry_scores
 from novags.testbed.metrics.images import image_scores, mean_scores
 from novags.testbed.metrics.linear import exposure_gain, is_black, linear_psnr
@@ -147,7 +147,8 @@ def score_renders(
     planned(console, "score", [] if out is None else [out])
     gain = _gain(read, pictures) if reference in LINEAR else None
     lacking = missing(width, height)
-    asked = set[str]() if reference in LINEAR else networks() - lacking.keys()
+    dataset = None if truth.capture is None else truth.capture.record.dataset
+    asked = set[str]() if reference in LINEAR else protocol_of(dataset) | networks() - lacking.keys()
     views, depths, doubts = {}, [], Doubts()
     with console.progress(f"score {folder.name}") as progress:
         for done, (i, name, picture) in enumerate(pictures()):

@@ -19,9 +19,9 @@ from novags.testbed.folders.set import Source
 from novags.testbed.folders.truth_noise import reference_halves
 from novags.testbed.ledger.code import Code, code_of
 from novags.testbed.ledger.stage import run_stage
-from novags.testbed.metrics import missing, modules, networks
+from novags.testbed.metrics import missing, modules, networks, protocol_of
 from novags.testbed.metrics.consistency import ConsistencyScores, consistency_scores
-from novags.testbed.metrics.geometry import GeometryScores, geometry_scores
+from novags.testbed.metrics.geometry import GeometryScores, geometry_scores, seen_points, surface_scores
 from novags.testbed.metrics.images import aligned_psnr, gaussian_blur, image_scores, mean_scores, psnr
 from novags.testbed.metrics.linear import linear_scores
 from novags.testbed.metrics.picture import Image
@@ -31,6 +31,7 @@ from novags.testbed.stages.scores.noise import noise_scores
 from sensor_model.files.lock import locked
 from simscenes.sets.geometry.correspondence import flow
 from simscenes.sets.pictures.png import read_png
+from simscenes.sets.readers.ply_points import read_ply_points
 
 BLUR_SIGMA = 1.2  # px; the fixed bar a denoiser has to clear
 BLUR_GRID = tuple(float(s) for s in np.geomspace(0.4, 8.0, 20))  # px; the harder bar: the best of these for the images
@@ -59,7 +60,8 @@ def _score(run_path: Path, console: Console) -> dict[str, Any]:
 
     def work(_: None) -> dict[str, Any]:
         with console.progress(f"score {run.name}") as progress:
-            scores = score_test_views(run, captured, lit, networks() - lacking.keys(), progress)
+            asked = protocol_of(captured.record.dataset) | networks() - lacking.keys()
+            scores = score_test_views(run, captured, lit, asked, progress)
         method = {
             **scores,
             "along": [score_along(then, captured, lit) for then in run.along()],
@@ -101,7 +103,7 @@ def code_of_scores(run: Run, captured: Capture, lit: Source) -> Code:
 def score_test_views(
     run: Run, capture: Capture, lit: Source, asked: Collection[str], progress: Update
 ) -> dict[str, Any]:
-    """Scores of every held-out view against each of its references, and their means; `asked`: which by networks.
+    """Scores of every held-out view against each of its references, and their means; `asked`: as of `image_scores`.
 
     Returns:
         `mean` and `views` hold the image scores by reference (None in `mean` for one that is not known); `geometry` the
@@ -124,10 +126,26 @@ def score_test_views(
     return {
         "mean": missing | {kind: mean_scores([scores[kind] for scores in views.values()]) for kind in kinds},
         "views": views,
-        "geometry": {**mean_scores([*depths.values()]), "consistency": consistency, "views": depths}
+        "geometry": {
+            **mean_scores([*depths.values()]),
+            **surface_of(run, capture, lit),
+            "consistency": consistency,
+            "views": depths,
+        }
         if depths
         else None,
     }
+
+
+def surface_of(run: Run, capture: Capture, lit: Source) -> dict[str, Any]:
+    """Scores of the surface that the rendered views show against a scan; {} without one."""
+    if lit.scan is None:
+        return {}
+    rig = capture.cameras.rig
+    shown = list(range(len(capture.names))) if run.shows_training_views else capture.cameras.test_indices
+    points = (seen_points(depth * run.depth_scale, alpha, rig.Ks[i], rig.viewmats[i])
+              for i in shown for depth, alpha in [run.depth(capture.names[i])])  # fmt: skip
+    return dict(surface_scores(points, read_ply_points(lit.scan, most=None).xyz))
 
 
 def view_scores(
@@ -183,10 +201,10 @@ def view_consistency(
 ) -> dict[str, float | None]:  # fmt: skip
     """Mean colour change along true correspondences from each held-out view to the view after it.
 
-    `exposures`: of a run in linear light. All scores are None for a run whose training views were not rendered: the
-    view after is one of them.
+    `exposures`: of a run in linear light. All scores are None for a run whose training views were not rendered, since
+    the view after is one of them, and for a scan, which leaves out parts of the views.
     """
-    if not run.shows_training_views:
+    if not run.shows_training_views or lit.scanned:
         return dict.fromkeys(ConsistencyScores.__annotations__)
     found: list[Any] = []
     for i in capture.cameras.test_indices:

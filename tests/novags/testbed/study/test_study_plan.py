@@ -18,7 +18,7 @@ from novags.testbed.ledger import store
 from novags.testbed.ledger.code import Code
 from novags.testbed.stages.configs.capturing import CaptureConfig
 from novags.testbed.stages.configs.reconstructing import ReconstructConfig, files_of
-from novags.testbed.study import entry
+from novags.testbed.study import conduct, entry
 from novags.testbed.study.cells.grid import read_study
 from novags.testbed.study.costs import Costs, default, longest_after, time_left
 from novags.testbed.study.engines.choice import OneMachine
@@ -326,3 +326,26 @@ def test_every_finished_entry_counts_in_what_others_will_cost() -> None:
     assert costs.predicted(task).seconds == pytest.approx(3 * guess.seconds)
     assert costs.known(task)
     assert not Costs.of([], {}).known(task)
+
+
+def test_time_left_of_a_task_under_way_is_at_least_what_its_own_pace_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rationale: a fit of a network forecast at 7 minutes said "0 s left" for an hour."""
+    clock = SimpleNamespace(now=100.0)
+    monkeypatch.setattr(conduct.time, "monotonic", lambda: clock.now)
+    costs: Any = SimpleNamespace(predicted=lambda task: SimpleNamespace(seconds=60.0))
+    plan: Any = SimpleNamespace(tasks={"a": None, "b": None})
+    watch = conduct._Watch(plan, None, costs, 1, None, known=set())  # type: ignore[arg-type]
+    watch.started("a")
+    assert watch.seconds_left() == {"a": 60.0, "b": 60.0}
+    watch.progress("a", "reconstruct", 500, 7500, "")
+    clock.now = 150.0
+    assert watch.seconds_left()["a"] == 10.0  # no step is done yet: as forecast
+    watch.progress("a", "reconstruct", 600, 7500, "")
+    assert watch.seconds_left()["a"] == pytest.approx(6900 * 50 / 100)  # half a second a step
+    clock.now = 190.0
+    watch.progress("a", "render", 0, 4, "")
+    clock.now = 192.0
+    watch.progress("a", "render", 1, 4, "")
+    assert watch.seconds_left()["a"] == pytest.approx(6.0)  # the new stage's pace, not the old one's
+    watch.progress("a", "render", 0, 4, "")  # the next scene, begun again: the count starts anew
+    assert watch.seconds_left() == {"a": 0.0, "b": 60.0}
