@@ -13,25 +13,40 @@ LIGHT = np.random.default_rng(0).uniform(0.05, 0.2, (4, 4, 5, 3)).astype(np.floa
 TESTED = (1, 3)
 
 
-def exposures(dark: list[float], lit: list[float] | None) -> Any:
-    """Of a run that renders the light itself; captured and well lit at factors of their own for each view."""
+def exposures(
+    dark: list[float], lit: list[float] | None, taken: tuple[int, ...] = TESTED, shown: tuple[int, ...] = TESTED
+) -> Any:
+    """Of a run that renders the light itself; captured and well lit at factors of their own for each view.
+
+    `taken`: views with a dark picture, `shown`: with a well-lit one.
+    """
     names = tuple("abcd")
     run: Any = SimpleNamespace(space="linear", enhancement=None, lacks=None,
                                rendering=lambda name: LIGHT[names.index(name)])  # fmt: skip
     capture: Any = SimpleNamespace(
         names=names, cameras=SimpleNamespace(test_indices=list(TESTED)), demosaiced=False,
-        holds=lambda part: False, linear=lambda i: np.float32(dark[i]) * LIGHT[i],
+        holds=lambda part: False, linear=lambda i: np.float32(dark[i]) * LIGHT[i], is_dark=lambda i: i in taken,
     )  # fmt: skip
     bright = [0.0] * 4 if lit is None else lit
     source: Any = SimpleNamespace(
-        lit_known=lit is not None, lit=lambda i: linear_to_srgb(np.clip(bright[i] * LIGHT[i], 0, 1)).astype(np.float32)
-    )
+        lit_known=lit is not None, shows=lambda i: lit is not None and i in shown,
+        lit=lambda i: linear_to_srgb(np.clip(bright[i] * LIGHT[i], 0, 1)).astype(np.float32),
+    )  # fmt: skip
     return exposures_of(run, capture, source)
 
 
-def expected(factors: list[float]) -> float:
-    cross = sum(factors[i] * float((LIGHT[i].astype(float) ** 2).sum()) for i in TESTED)
-    return cross / sum(float((LIGHT[i].astype(float) ** 2).sum()) for i in TESTED)
+def expected(factors: list[float], of: tuple[int, ...] = TESTED) -> float:
+    cross = sum(factors[i] * float((LIGHT[i].astype(float) ** 2).sum()) for i in of)
+    return cross / sum(float((LIGHT[i].astype(float) ** 2).sum()) for i in of)
+
+
+def test_views_without_a_dark_or_a_lit_picture_say_nothing_about_that_exposure() -> None:
+    dark, lit = [0.9, 0.1, 0.7, 0.3], [0.1, 2.0, 0.3, 4.0]
+    found = exposures(dark, lit, taken=(1,), shown=(3,))
+    assert found.dark == pytest.approx(expected(dark, (1,)), rel=1e-5)
+    assert found.lit == pytest.approx(expected(lit, (3,)), rel=1e-4)
+    found = exposures(dark, lit, taken=(), shown=())
+    assert (found.dark, found.lit) == (None, None)
 
 
 def test_all_held_out_views_and_no_others_decide() -> None:

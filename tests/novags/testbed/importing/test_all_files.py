@@ -15,12 +15,17 @@ QUIET = Console(quiet=True)
 
 class Views(list[str]):
     path = Path("somewhere")
+    lit_alone = ()
+
+    @property
+    def names(self) -> list[str]:
+        return [*self]
 
 
 def material(*names: str, raws: tuple[str, ...] = ()) -> Any:
     dark = SimpleNamespace(
         source=SimpleNamespace(views=Views(names), rig=SimpleNamespace(width=40, height=30)), depth="8bit",
-        files=tuple(map(Path, names)), raws=tuple(map(Path, raws)),
+        files=tuple(map(Path, names)), dark_files=tuple(map(Path, names)), raws=tuple(map(Path, raws)), beside={},
     )  # fmt: skip
     return SimpleNamespace(dark=dark, lit=None, clean=None, dataset=None)
 

@@ -253,7 +253,9 @@ def test_the_dataset_can_be_said_and_is_refused_where_it_does_not_fit(tmp_path: 
     folder = lom(tmp_path / "LOM" / "buu")
     with pytest.raises(ValueError, match="buu must hold what a scene of LLRS does: images/, sparse/0"):
         brought(folder, tmp_path / "cap", dataset="LLRS")
-    with pytest.raises(ValueError, match="dataset must be auto, none or one of LOM, LLNeRF, LLRS, MVTV, got 'LoM'"):
+    with pytest.raises(
+        ValueError, match="dataset must be auto, none or one of LOM, LLNeRF, LLRS, MVTV, RealX3D, got 'LoM'"
+    ):
         ImportConfig(dataset="LoM")
     with pytest.raises(ValueError, match="split must be one of own, every8, got 'half'"):
         ImportConfig(split="half")  # type: ignore[arg-type]

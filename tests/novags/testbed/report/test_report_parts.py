@@ -181,7 +181,7 @@ def test_light_is_shown_at_the_exposures_of_the_dark_and_of_the_well_lit_picture
     def of(rendering: Any, *, known: bool = True) -> Any:
         told = {"space": "linear", "enhancement": None, "lacks": None}
         run: Any = SimpleNamespace(**told, rendering=lambda name: rendering(index[name]))
-        lit: Any = SimpleNamespace(lit_known=known, lit=lambda i: codes[i])
+        lit: Any = SimpleNamespace(lit_known=known, shows=lambda i: known, lit=lambda i: codes[i])
         return exposures_of(run, replace(capture, cameras=replace(capture.cameras, held_out=(0, 1, 2))), lit)
 
     assert of(lambda i: 0.25 * capture.clean_linear(i)).dark == pytest.approx(4)

@@ -94,7 +94,8 @@ def test_the_histogram_reaches_from_the_darkest_pixels_to_the_brightest(
 def test_the_codes_of_photographs_are_of_all_views_that_are_shown(monkeypatch: pytest.MonkeyPatch) -> None:
     found = dict[str, Any]()
     monkeypatch.setattr(module, "_chart", lambda shares, edges, *_, **__: found.update(shares))
-    capture: Any = SimpleNamespace(imported=True, sensor=None, srgb8=lambda i: np.full((2, 2, 3), i / 255, np.float32))
+    capture: Any = SimpleNamespace(imported=True, sensor=None, is_dark=lambda i: True,
+                                   srgb8=lambda i: np.full((2, 2, 3), i / 255, np.float32))  # fmt: skip
     assert histogram(capture, [8, 80, 200]) is not None
     assert [np.flatnonzero(shares).tolist() for shares in found.values()] == [[2, 20, 50]] * 3
 

@@ -62,7 +62,7 @@ def test_depths_of_all_runs_are_in_the_unit_of_the_truth(tiles: Any) -> None:
     rig = SimpleNamespace(Ks=np.eye(3)[None].repeat(2, 0), viewmats=np.eye(4)[None].repeat(2, 0))
     place: Any = SimpleNamespace(
         capture=SimpleNamespace(names=("0000", "0001"), cameras=SimpleNamespace(rig=rig)), main="a", runs=runs,
-        lit=SimpleNamespace(scaled=False, views=views, rig=rig),
+        lit=SimpleNamespace(scaled=False, views=views, rig=rig, scanned={}),
     )  # fmt: skip
     _add_geometry(tiles.tiles, 1, place, runs)
     np.testing.assert_allclose(tiles.images["depth-a"], tiles.images["depth-b"], atol=1e-6)

@@ -25,7 +25,7 @@ def test_light_without_an_enhancement_is_as_consistent_as_the_truth_that_it_is_a
     run: Any = SimpleNamespace(space="linear", enhancement=None, shows_training_views=True,
                                rendering=lambda name: light[int(name)] / 7)  # fmt: skip
     capture: Any = SimpleNamespace(names=("0", "1"), cameras=SimpleNamespace(test_indices=(0,)))
-    source: Any = SimpleNamespace(views=None)
+    source: Any = SimpleNamespace(views=None, scanned={})
     found = scoring.view_consistency(run, capture, source, Exposures(dark=7.0, lit=None))
     assert found["excess"] == pytest.approx(0, abs=1e-6)
     assert found["reference"] == pytest.approx(np.abs(encode(light[1]) - encode(light[0])).mean(), rel=1e-5)
@@ -35,7 +35,7 @@ def test_depth_is_scored_in_the_scale_of_the_true_cameras(monkeypatch: pytest.Mo
     depth, alpha = np.full((4, 4), 1.5), np.ones((4, 4))
     stand_ins: dict[str, Any] = {
         "references": {"lit": None}, "image_scores": {"psnr": 30.0}, "as_compared": None, "true_depth": 3.0 * alpha,
-        "missing_references": {}, "view_consistency": {}, "reference_halves": {},
+        "missing_references": {}, "view_consistency": {}, "reference_halves": {}, "surface_of": {},
     }  # fmt: skip
     for name, value in stand_ins.items():
         monkeypatch.setattr(scoring, name, lambda *given, value=value: value)
@@ -46,6 +46,26 @@ def test_depth_is_scored_in_the_scale_of_the_true_cameras(monkeypatch: pytest.Mo
     nothing: Any = None
     found = scoring.score_test_views(run, capture, nothing, None, lambda *given: None)["geometry"]
     assert (found["abs_rel"], found["within_5_percent"]) == (0.0, 1.0)
+
+
+@pytest.mark.parametrize(("trained", "views"), [(True, [0, 1, 2]), (False, [1])])
+def test_the_surface_is_scored_by_all_rendered_views_in_the_scale_of_the_true_cameras(
+    trained: bool, views: list[int], tmp_path: Path
+) -> None:
+    """Three cameras look along z at planes 2, 4 and 6 m away, of which the method has half the depth."""
+    from simscenes.sets.writers.neighbours import write_points
+
+    Ks, viewmats = np.tile(np.diag([4.0, 4.0, 1.0]), (3, 1, 1)), np.tile(np.eye(4), (3, 1, 1))
+    at = {i: np.full((4, 4), i + 1.0) for i in range(3)}
+    scan = np.concatenate([scoring.seen_points(2 * at[i], np.ones((4, 4)), Ks[i], viewmats[i]) for i in views])
+    write_points(tmp_path / "scan.ply", scan, np.zeros((len(scan), 3), np.uint8))
+    cameras = SimpleNamespace(rig=SimpleNamespace(Ks=Ks, viewmats=viewmats), test_indices=[1])
+    run: Any = SimpleNamespace(shows_training_views=trained, depth_scale=2.0,
+                               depth=lambda name: (at[int(name)], np.ones((4, 4))))  # fmt: skip
+    capture: Any = SimpleNamespace(names=("0", "1", "2"), cameras=cameras)
+    source: Any = SimpleNamespace(scan=tmp_path / "scan.ply")
+    assert scoring.surface_of(run, capture, source) == {"accuracy": 0, "completeness": 0, "f1": 1}
+    assert scoring.surface_of(run, capture, SimpleNamespace(scan=None)) == {}  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("shown", [(0, 2, 5), (0, 5), (2, 5)])
@@ -61,7 +81,7 @@ def test_every_held_out_view_counts_in_the_consistency_with_the_view_after_it(
     run: Any = SimpleNamespace(space="lit", enhancement=None, shows_training_views=True,
                                rendering=lambda name: reference[int(name)])  # fmt: skip
     capture: Any = SimpleNamespace(names=tuple("012345"), cameras=SimpleNamespace(test_indices=shown))
-    scoring.view_consistency(run, capture, SimpleNamespace(views=None), None)  # type: ignore[arg-type]
+    scoring.view_consistency(run, capture, SimpleNamespace(views=None, scanned={}), None)  # type: ignore[arg-type]
     assert asked == [(i, i + 1 if i < 5 else 4) for i in shown]
 
 
