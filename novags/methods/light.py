@@ -42,6 +42,12 @@ class MeasuredLight:
         """Which data there are, bool [C, H, W, 3]."""
         return ~self.light.isnan()
 
+    def mean(self) -> float:
+        """Mean of all data; nan without any."""
+        sums = [(float(view.nansum(dtype=torch.float64)), int((~view.isnan()).sum())) for view in self.light]
+        total, count = map(sum, zip(*sums, strict=True))
+        return total / count if count else float("nan")
+
 
 def measured_light(
     noise: Noise, raw: RawPictures | None, linear16: Tensor | None, shared: tuple[str, ...]
@@ -127,9 +133,9 @@ def brightness(data: MeasuredLight) -> float:
     Raises:
         ValueError: If it is not above black.
     """
-    green = data.light[..., 1]
-    green = green[~green.isnan()].double()
-    unit = float(torch.quantile(green[:: max(1, len(green) // 4_000_000)], BRIGHT))
+    greens = (view[..., 1] for view in data.light)  # one by one: places of all data take ten times their memory
+    green = torch.cat([view[~view.isnan()] for view in greens])
+    unit = float(torch.quantile(green[:: max(1, len(green) // 4_000_000)].double(), BRIGHT))
     if not unit > 0:
         raise ValueError(
             f"the {BRIGHT:.0%} quantile of the green pixels must be above black, got {unit:.3g}: these pictures "

@@ -4,6 +4,7 @@ This is the published baseline (`naive`), and with the enhancers of others every
 same pictures, cameras, loss, iterations and number of Gaussians, so that the enhancement alone makes the difference.
 """
 
+import dataclasses
 import time
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from novags.methods.enhanced.by_enhancer import learning_steps, weights_of
 from novags.methods.enhanced.config import EnhancedFitConfig
 from novags.methods.enhanced.gaussian_fit import fit_enhanced
 from novags.methods.enhancers import enhancement_record, network_of
-from novags.methods.enhancers.applying import enhanced
+from novags.methods.enhancers.applying import enhanced, settled
 from novags.methods.enhancers.choice import Enhancement
 from novags.methods.enhancers.enhancer import NETWORK
 from novags.methods.enhancers.networks.kind import Kind, described
@@ -39,6 +40,7 @@ def train(
         ValueError: If weights or a checkpoint are damaged, or belong to something else.
     """
     kind: Kind | None = network_of(config.enhance)
+    config = dataclasses.replace(config, enhance=settled(problem, config.enhance, config.pictures))
     if kind is None:
         return fit_enhanced(problem, config, enhanced, progress, checkpoint)
     return _with_network(kind, problem, config, progress, checkpoint)

@@ -15,6 +15,12 @@ from novags.methods.noise import Noise
 from novags.methods.problem import Problem, encode
 
 
+def settled(problem: Problem, config: Enhancement, pictures: Pictures) -> Enhancement:
+    """The configuration with what it leaves to the scene: the same for all pictures, in records too."""
+    _, enhancer = enhancer_of(config)
+    return config if enhancer.settled is None else enhancer.settled(problem.encoded(pictures), config)
+
+
 def enhanced(problem: Problem, config: Enhancement, pictures: Pictures) -> Tensor:
     """The enhanced pictures of a problem [C, H, W, 3]; made once for all methods that share them."""
     dark = problem.encoded(pictures)

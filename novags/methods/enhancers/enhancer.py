@@ -25,6 +25,8 @@ class Enhancer:
         typical: (params of several views) -> the params in their middle, for a picture that has no noisy twin.
         network: () -> the `networks.Kind` behind it, if it is a network.
         title: Its work, in a few words.
+        settled: (pictures, config) -> the config with what all pictures of a scene share, where it leaves that to the
+            scene; None: there is no such thing.
     """
 
     config: type
@@ -32,6 +34,7 @@ class Enhancer:
     typical: Callable[..., Any]
     network: Callable[[], Any] | None = None
     title: str = field(kw_only=True)
+    settled: Callable[..., Any] | None = field(default=None, kw_only=True)
 
 
 def stamps(config: Any) -> tuple[tuple[int, ...], ...]:

@@ -1,5 +1,6 @@
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
@@ -7,7 +8,11 @@ from novags.methods.enhanced import clean_fit as oracle
 from novags.methods.enhanced import enhance_then_fit as naive
 from novags.methods.enhanced.config import EnhancedFitConfig
 from novags.methods.enhanced.oracle import OracleConfig
+from novags.methods.enhancers import recorded
+from novags.methods.enhancers.applying import enhanced_like
+from novags.methods.enhancers.curves.adaptive import statistics_of
 from novags.methods.enhancers.guided import enhance
+from novags.methods.enhancers.rows.adaptive import Ap3Config
 from novags.methods.problem import Problem
 from novags.splats import FitConfig, Gaussians, rasterize
 
@@ -34,6 +39,18 @@ def test_naive_aims_at_the_enhanced_images(problem):
     assert torch.equal(result.targets, enhanced)
     assert set(result.seconds) == {"enhance", "fit"}
     assert result.config.fit.extent == inputs.start.extent
+
+
+def test_an_enhancement_of_the_whole_scene_is_the_same_for_all_views_and_stands_in_the_record(problem):
+    """Rationale: references, reports and the viewer enhance by the record, and see one view at a time."""
+    inputs = problem()
+    config = replace(CONFIG, enhance=Ap3Config(scene_wide=True), fit=replace(CONFIG.fit, iterations=2))
+    result = naive.train(inputs, config)
+    dark = inputs.encoded("8bit")
+    wanted = np.mean([statistics_of(view.double().numpy()) for view in dark], axis=0)
+    _, found = recorded(result.enhancement)
+    np.testing.assert_allclose(found.statistics, wanted)
+    assert torch.equal(result.targets, torch.stack([enhanced_like(view, found, wanted) for view in dark]))
 
 
 def test_oracle_aims_at_the_noise_free_images_under_the_noisy_ones_enhancement(problem):

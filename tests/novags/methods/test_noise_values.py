@@ -3,12 +3,13 @@
 import math
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
-from novags.methods.light import brightness, first_light, measured_light
+from novags.methods.light import MeasuredLight, brightness, first_light, measured_light
 from novags.methods.noise import Noise, Variance, camera_noise
 from novags.methods.noise_estimate import _binned, _line, estimate_noise
 from novags.methods.problem import RawPictures
@@ -201,6 +202,15 @@ def test_points_begin_with_the_light_of_the_camera_behind_its_matrix() -> None:
     torch.testing.assert_close(first_light(start, data) @ matrix.T, shown)  # type: ignore[arg-type]
     data.matrix = None
     torch.testing.assert_close(first_light(start, data), shown)  # type: ignore[arg-type]
+
+
+def test_the_mean_of_light_is_that_of_all_data_there_are_whatever_the_views_hold() -> None:
+    light = torch.rand((3, 4, 6, 3), generator=torch.Generator().manual_seed(0)) - 0.2
+    light[0, :, ::2, 1] = light[1] = torch.nan
+    nothing: Any = None
+    data = MeasuredLight(light=light, noise=nothing, white=torch.ones(3), matrix=None)
+    assert data.mean() == pytest.approx(float(np.nanmean(light.double().numpy())), rel=1e-9)
+    assert np.isnan(replace(data, light=torch.full_like(light, torch.nan)).mean())
 
 
 def test_brightness_is_near_the_brightest_measured_green() -> None:

@@ -30,3 +30,17 @@ ORACLE_DEMOSAICED = Variant(
     title="the same from noise-free mosaics, interpolated as the pictures are: what demosaicing costs by itself",
     settings={"demosaiced": True},
 )
+
+ASE_SCENE = Variant(
+    name="ase-scene-gs",
+    method="ase-gs",
+    title="raise all pictures by one adaptive exponential, of the mean statistics of the scene, then fit as naive does",
+    settings={"enhance.scene_wide": True},
+)
+
+AP3_SCENE = Variant(
+    name="ap3-scene-gs",
+    method="ap3-gs",
+    title="raise all pictures by one adaptive cubic, of the mean statistics of the scene, then fit as naive does",
+    settings={"enhance.scene_wide": True},
+)

@@ -11,13 +11,18 @@ from novags.methods.enhancers import ENHANCERS, enhancement_record, recorded
 from novags.methods.enhancers.applying import enhanced_like
 from novags.methods.enhancers.curves.curve import geometric_mean_params
 from novags.methods.enhancers.curves.equalise import mean_curve
+from novags.methods.enhancers.rows.adaptive import Ap3Config, AseConfig
 from novags.methods.enhancers.rows.drago import DragoConfig
 from novags.methods.enhancers.rows.equalise import EqualiseConfig
 from novags.methods.enhancers.rows.gain import GainConfig
 from novags.methods.enhancers.rows.gamma import GammaConfig
+from novags.methods.enhancers.rows.naka import NakaConfig
 from novags.testbed.ledger.contents import jsonable
 
-CURVES = [GammaConfig(), GammaConfig(gamma=None), GainConfig(), DragoConfig(), EqualiseConfig()]
+CURVES = [
+    GammaConfig(), GammaConfig(gamma=None), GainConfig(), DragoConfig(), EqualiseConfig(), AseConfig(), Ap3Config(),
+    NakaConfig(),
+]  # fmt: skip
 Y = (0.2126, 0.7152, 0.0722)
 
 
@@ -85,6 +90,66 @@ def test_drago_is_the_published_equation():
     assert max(shown) == pytest.approx(1)  # the brightest luminance is white; its strongest channel is clipped there
 
 
+def quantile(values: list[float], share: float) -> float:
+    """Linear between the two nearest, as numpy's default."""
+    ordered, place = sorted(values), share * (len(values) - 1)
+    low = math.floor(place)
+    high = min(low + 1, len(values) - 1)
+    return ordered[low] + (place - low) * (ordered[high] - ordered[low])
+
+
+def adaptive_by_hand(dark: np.ndarray, curve: str, c: float, exponent: float = 2.5) -> list[float]:
+    lumas = [0.299 * r + 0.587 * g + 0.114 * b for r, g, b in dark.reshape(-1, 3)]
+    p90, p10, mean = quantile(lumas, 0.9), quantile(lumas, 0.1), sum(lumas) / len(lumas)
+    offset, shown = 0.12 * (1 - p10 / p90) ** exponent, []
+    for x in dark.ravel():
+        t = x / p90
+        if curve == "ase":
+            shown.append(offset + (1 - offset) * (1 - math.exp(-(0.9 + c * mean) * t)))
+        else:
+            shown.append(min(offset + (1 + c * mean) * (0.0720 * t**3 - 0.4376 * t**2 + 0.9948 * t), 1.0))
+    return shown
+
+
+def test_adaptive_curves_are_the_published_equations():
+    dark = picture()
+    for config, wanted in (
+        (AseConfig(), adaptive_by_hand(dark, "ase", 4)),
+        (AseConfig(gain=3.0, exponent=1.5), adaptive_by_hand(dark, "ase", 3, 1.5)),
+        (Ap3Config(), adaptive_by_hand(dark, "ap3", 2)),
+        (Ap3Config(gain=0.0), adaptive_by_hand(dark, "ap3", 0)),
+    ):
+        np.testing.assert_allclose(run(config, dark)[0].ravel(), wanted, rtol=1e-9)
+
+
+def test_naka_is_the_response_between_its_ends():
+    dark = picture()
+    response = [x / (x + 0.05) for x in dark.ravel()]
+    low, high = min(response), max(response)
+    np.testing.assert_allclose(run(NakaConfig(), dark)[0].ravel(), [(y - low) / (high - low) for y in response])
+
+
+@pytest.mark.parametrize("config", [AseConfig(), Ap3Config(), NakaConfig()], ids=repr)
+def test_what_has_no_contrast_stays_as_it_is(config):
+    black = np.zeros((5, 6, 3))
+    np.testing.assert_array_equal(run(config, black)[0], black)
+
+
+@pytest.mark.parametrize("make", [AseConfig, Ap3Config])
+def test_a_scene_gets_one_curve_of_the_mean_statistics_of_its_pictures(make):
+    pictures = [torch.from_numpy(picture(i, 0.1 * (i + 1))) for i in range(3)]
+    enhancer = next(e for e in ENHANCERS.values() if e.config is make)
+    assert enhancer.settled is not None
+    config = enhancer.settled(pictures, make(scene_wide=True))
+    stats = [run(make(), one.numpy())[1] for one in pictures]
+    np.testing.assert_allclose(config.statistics, np.mean(stats, axis=0))
+    np.testing.assert_array_equal(run(config, picture(9))[1], config.statistics)  # of any picture, of this scene
+    assert enhancer.settled(pictures, make()) == make()
+    assert enhancer.settled(pictures, config) is config
+    with pytest.raises(ValueError, match="scene_wide takes statistics of all pictures"):
+        run(make(scene_wide=True), picture())
+
+
 def test_equalisation_gives_each_luma_the_share_of_pixels_below_it():
     dark = picture()
     dark[0] = dark[1]  # some lumas occur twice
@@ -104,7 +169,7 @@ def test_the_parameters_of_a_picture_bring_its_twin_through_the_same_curve(confi
     found, params = run(config, dark)
     np.testing.assert_array_equal(run(config, dark, params)[0], found)
     mixed = dark.copy()
-    mixed[5:] = twin[5:]
+    mixed[5:], mixed[6, 8] = twin[5:], 1.0  # brighter than any pixel, which some curves go by
     np.testing.assert_array_equal(run(config, mixed, params)[0][:5], found[:5])
     if config != GammaConfig():
         assert np.abs(run(config, mixed)[0][:5] - found[:5]).max() > 1e-3
@@ -155,6 +220,11 @@ def test_a_record_brings_the_curve_back(config):
         (lambda: GammaConfig(gamma=math.nan), "gamma must be > 0"),
         (lambda: GainConfig(target=1.0), "target must lie in"),
         (lambda: DragoConfig(bias=1.0), "bias must lie in"),
+        (lambda: AseConfig(gain=-1.0), "gain must be >= 0"),
+        (lambda: AseConfig(slope=0.0), "slope and exponent must be > 0"),
+        (lambda: Ap3Config(offset=1.0), "offset must lie in"),
+        (lambda: Ap3Config(statistics=(0.1, 0.2, 0.1)), "p10 <= p90"),
+        (lambda: NakaConfig(half=0.0), "half must be > 0"),
     ],
 )
 def test_settings_out_of_range_are_refused(make, message):
@@ -165,7 +235,7 @@ def test_settings_out_of_range_are_refused(make, message):
 def test_every_curve_is_a_method_that_differs_from_naive_in_its_enhancement_alone():
     """Rationale: a fair fight; cameras, iterations, cap and loss are those of naive."""
     naive = METHODS["naive"].config()
-    for name in ("gamma-gs", "gain-gs", "drago-gs", "equalise-gs", "gamma-auto-gs"):
+    for name in ("gamma-gs", "gain-gs", "drago-gs", "equalise-gs", "gamma-auto-gs", "ase-gs", "ap3-gs", "naka-gs"):
         variant = chosen(name)
         method = METHODS[variant.method]
         config = variant.config(method.config(), {})
