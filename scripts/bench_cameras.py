@@ -2,131 +2,148 @@
 
     python scripts/bench_cameras.py errors --out DIR
         PSNR of the demo against a rotation error of its cameras, 0 to 4 degrees, with and without refinement
-    python scripts/bench_cameras.py registered --set SET --out FILE.json
-        the share of views that structure from motion registers, and how right they are, at 2 to 1000 electrons, on the
-        dark pictures raw, enhanced, and enhanced and denoised, by both mappers
+    python scripts/bench_cameras.py light --out DIR [--cameras SOURCE ...]
+        poses by sources of cameras at 200 to 1 electrons on four scenes, single exposures and means of eight: shares
+        registered, areas under the curve of pair errors, trajectory and depth errors
 
-SET is a folder that `novags render` wrote. Results are kept in FILE.json row by row: the same command continues.
+A SOURCE is spelt as for `novags reconstruct --cameras`: a network needs its own installation and weights. Rows are kept
+in DIR/light.csv: the same command continues, and another SOURCE comes beside what is there.
 """
 
 import argparse
-import json
+import csv
+import math
 import time
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from novags.process import settle
 
-ELECTRONS = (2.0, 5.0, 20.0, 80.0, 1000.0)
-PICTURES = ("raw", "enhanced", "denoised")
-MAPPERS = ("incremental", "global")
-SENSOR = "a7s2-iso6400-3chip"
-STEPS = 200  # of the denoiser: half a minute on an idle core
-RIGHT_DEG = 5.0  # a registered camera further off than this is not a camera one could start from
+SCENES = ("bookshop", "market", "sofa", "bicycle")  # the settings of `sfm` were chosen on another one
+ELECTRONS = (200.0, 50.0, 20.0, 5.0, 2.0, 1.0)
+SOURCES = tuple(f"sfm{':' * bool(how)}{how}" for how in (
+    "", "mapper=global", "pictures=enhanced", "pictures=enhanced,mapper=global", "pictures=denoised",
+    "pictures=denoised,mapper=global"))  # fmt: skip
+BURSTS = {1: SOURCES, 8: ("sfm", "sfm:pictures=enhanced")}  # frames of a view -> sources that look at their mean
+VIEWS, SIZE, POINTS = 20, 160, 1000
+AREAS = (5.0, 30.0)  # degrees
+SCORES = ("registered", *(f"{what}_auc{t:g}" for what in ("rotation", "translation") for t in AREAS),
+          "trajectory", "depth", "seconds")  # fmt: skip
+PLACE = ("scene", "electrons", "burst", "cameras", "seed")
 
 
-def captured(radiances: list[np.ndarray], electrons: float, seed: int) -> Tensor:
-    """Dark 8-bit pictures of one camera, [C, h, w, 3] in 0..1."""
-    from sensor_model import PRESETS, Exposure, develop, expose, photons_for_electrons
-
-    sensor, mean_green = PRESETS[SENSOR], float(np.mean([r[..., 1].mean() for r in radiances]))
-    codes = []
-    for view, radiance in enumerate(radiances):
-        photons = photons_for_electrons(radiance, electrons=electrons, mean_green=mean_green, sensor=sensor)
-        codes.append(develop(expose(photons, sensor, Exposure(time=1 / 30), seed=seed, view=view), sensor).srgb8)
-    return torch.from_numpy(np.stack(codes).astype(np.float32) / 255)
-
-
-def denoised(enhanced: Tensor, steps: int, seed: int) -> Tensor:
-    """What the self-supervised denoiser of the preset demo makes of them after a short training."""
-    from novags.methods.nova.denoiser import Denoiser
-    from novags.methods.nova.denoiser_config import FAST_DENOISER
-
-    denoiser = Denoiser(enhanced, FAST_DENOISER, total_steps=steps, seed=seed)
-    for _ in range(steps):
-        denoiser.train_step()
-    return denoiser.denoise_all()
-
-
-def measure(pictures: Tensor, dark: Tensor, true: np.ndarray, Ks: np.ndarray, mapper: str, seed: int) -> dict[str, Any]:
-    """Share of the views that register and that are right, and the median rotation error of the registered ones."""
-    from novags.cameras.align import align
-    from novags.cameras.motion.sfm import structure_from_motion
-    from novags.cameras.sources.sfm import SfmConfig
-
-    codes = (pictures * 255).round().to(torch.uint8).numpy()
-    start = time.perf_counter()
-    row: dict[str, Any] = {"registered": 0.0, "right": 0.0, "rotation_deg": None, "centre_error": None}
-    try:
-        config = SfmConfig(mapper=mapper)
-        found = structure_from_motion(codes, Ks, dark, n_points=1000, config=config, seed=seed)
-        aligned = align(found.viewmats, torch.tensor(true)[list(found.registered)])
-    except ValueError as error:  # too few views, which is a measurement too
-        return row | {"seconds": time.perf_counter() - start, "error": str(error)}
-    return {
-        "registered": len(found.registered) / len(true),
-        "right": int((aligned.rotation_deg < RIGHT_DEG).sum()) / len(true),
-        "rotation_deg": float(aligned.rotation_deg.median()),
-        "centre_error": float(aligned.centre_error.median()),
-        "seconds": time.perf_counter() - start,
-    }
-
-
-def registered(options: argparse.Namespace) -> None:
+def light(options: argparse.Namespace) -> None:
     """Make missing measurements, print the table."""
-    from novags.methods.enhancers.guided import enhance
-    from simscenes import load_set
+    from novags.testbed import stages
+    from novags.testbed.console.terminal import Console
+    from novags.testbed.folders.capture import open_capture
+    from novags.testbed.stages.configs.capturing import CaptureConfig
+    from novags.testbed.stages.configs.rendering import RenderConfig
 
-    multiview = load_set(options.set)
-    true, Ks = multiview.rig.viewmats, multiview.rig.Ks
-    radiances = [multiview.radiance(i) for i in range(len(multiview))]
-    rows: dict[str, Any] = json.loads(options.out.read_text()) if options.out.exists() else {}
-    for kind in options.pictures:
+    console, out = Console(quiet=True), options.out
+    out.mkdir(parents=True, exist_ok=True)
+    rows = read_rows(out / "light.csv")
+    bursts = dict.fromkeys(options.bursts, options.cameras) if options.cameras else BURSTS
+    for scene in options.scenes:
+        drawn = RenderConfig(scene=scene, n_views=VIEWS, width=SIZE, height=SIZE, spp=64, truth_samples=1)
         for electrons in options.electrons:
-            keys = {mapper: key_of(electrons, kind, mapper, options.seed) for mapper in MAPPERS}
-            if all(key in rows for key in keys.values()):
-                continue
-            dark = captured(radiances, electrons, options.seed)
-            pictures = dark if kind == "raw" else enhance(dark)[0]
-            if kind == "denoised":
-                pictures = denoised(pictures, options.steps, options.seed)
-            for mapper, key in keys.items():
-                rows[key] = measure(pictures, dark, true, Ks, mapper, options.seed)
-                print(f"{key}: {rows[key]}", flush=True)
-            options.out.write_text(json.dumps(rows, indent=1) + "\n")
-    print(f"\n{table(rows, options.electrons, options.seed)}")
+            for burst, sources in bursts.items():
+                places = [(scene, f"{electrons:g}", str(burst), source, str(options.seed)) for source in sources]
+                if all(place in rows for place in places):
+                    continue
+                stages.render(out / scene, drawn, console)
+                dark = CaptureConfig(electrons=electrons, burst=burst, seed=options.seed)
+                stages.capture(out / scene, folder := out / f"{scene}-{electrons:g}-{burst}", dark, console)
+                for place in places:
+                    if place not in rows:
+                        rows[place] = measured(open_capture(folder), place[3], options.seed)
+                        write_rows(out / "light.csv", rows)
+                        print(*place, {name: round(value, 3) for name, value in rows[place].items()}, flush=True)
+    print(f"\n{table(rows)}")
 
 
-def key_of(electrons: float, kind: str, mapper: str, seed: int) -> str:
-    """Name of a row of results."""
-    return f"{electrons:g} {kind} {mapper} {seed}"
+def measured(capture: Any, cameras: str, seed: int) -> dict[str, float]:
+    """What a source finds of all views of a capture, `SCORES`; nan where it finds nothing that could be measured."""
+    from novags.cameras import parse_cameras
+    from novags.cameras.align import align, depth_ratios
+    from novags.testbed.console.terminal import Console
+    from novags.testbed.stages.camera_source import cameras_of, true_cameras
+
+    console = Console(quiet=True)
+    true, source = true_cameras(capture), capture.source(console)
+    every, start = list(range(len(true))), time.process_time()
+    try:
+        found = cameras_of(parse_cameras(cameras), capture, source, every, POINTS, seed, torch.device("cpu"), console)
+    except ValueError:  # too few views, which is a measurement too
+        return poses(np.zeros((0, 4, 4)), true.numpy(), ()) | {
+            "depth": math.nan,
+            "seconds": time.process_time() - start,
+        }
+    seconds, chosen = time.process_time() - start, list(found.registered)
+    depths = np.stack([source.views.geometry(i)["z"] for i in chosen])  # a rendered set
+    aligned = align(found.viewmats, true[chosen])
+    Ks = torch.tensor(np.array(capture.cameras.rig.Ks))[chosen]
+    ratios = depth_ratios(found, aligned.similarity, true[chosen], Ks, torch.from_numpy(depths))
+    depth = float(np.median(np.abs(ratios - 1))) if len(ratios) else math.nan
+    return poses(found.viewmats.numpy(), true.numpy(), found.registered) | {"depth": depth, "seconds": seconds}
 
 
-def table(rows: dict[str, Any], electrons: list[float], seed: int) -> str:
-    """Markdown: a row for each kind of picture and mapper, a column for each light."""
-    lines = [
-        "| pictures, mapper | " + " | ".join(f"{e:g} e-" for e in electrons) + " |",
-        "|---" * (len(electrons) + 1) + "|",
-    ]
-    for kind in PICTURES:
-        for mapper in MAPPERS:
-            cells = [cell(rows.get(key_of(e, kind, mapper, seed))) for e in electrons]
-            lines.append(f"| {kind}, {mapper} | {' | '.join(cells)} |")
+def poses(found: np.ndarray, true: np.ndarray, registered: Sequence[int]) -> dict[str, float]:
+    """Scores of cameras [R, 4, 4] against the true ones [C, 4, 4]."""
+    from novags.cameras.align import auc, pair_errors, trajectory_error
+
+    errors = dict(zip(("rotation", "translation"), pair_errors(found, true, registered), strict=True))
+    areas = {f"{what}_auc{t:g}": auc(errors[what], t) for what in errors for t in AREAS}
+    trajectory = trajectory_error(found, true[list(registered)]) if len(registered) > 2 else math.nan
+    return {"registered": len(registered) / len(true), **areas, "trajectory": trajectory}
+
+
+def read_rows(path: Path) -> dict[tuple[str, ...], dict[str, float]]:
+    """The rows of earlier commands."""
+    if not path.exists():
+        return {}
+    with path.open(encoding="utf-8", newline="") as file:
+        return {tuple(row[name] for name in PLACE): {name: float(row[name]) for name in SCORES}
+                for row in csv.DictReader(file)}  # fmt: skip
+
+
+def write_rows(path: Path, rows: dict[tuple[str, ...], dict[str, float]]) -> None:
+    """Write all rows, each number to four digits."""
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow([*PLACE, *SCORES])
+        writer.writerows([*place, *(f"{row[name]:.4g}" for name in SCORES)] for place, row in rows.items())
+
+
+def table(rows: dict[tuple[str, ...], dict[str, float]]) -> str:
+    """Markdown: by source and light the mean over the scenes, and its standard error where there are several."""
+    heads = ["cameras", "e-", "scenes", "registered", "rotation AUC@5", "@30", "translation AUC@5", "@30",
+             "trajectory", "depth, %", "CPU s"]  # fmt: skip
+    lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
+    kinds = dict.fromkeys((burst, cameras) for _, _, burst, cameras, _ in rows)
+    lights = sorted({float(place[1]) for place in rows}, reverse=True)
+    for burst, cameras in kinds:
+        for electrons in lights:
+            these = [row for place, row in rows.items() if place[1:4] == (f"{electrons:g}", burst, cameras)]
+            if these:
+                name = f"{cameras}, mean of {burst}" if burst != "1" else cameras
+                cells = [cell([100 * row[s] if s == "depth" else row[s] for row in these], s) for s in SCORES]
+                lines.append(f"| {name} | {electrons:g} | {len(these)} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
-def cell(row: dict[str, Any] | None) -> str:
-    """Registered share, right share if it is smaller, median rotation error."""
-    if row is None:
-        return "not measured"
-    if not row["registered"]:
-        return "0 %"
-    right = "" if row["right"] == row["registered"] else f" ({100 * row['right']:.0f} % right)"
-    return f"{100 * row['registered']:.0f} %{right}, {row['rotation_deg']:.2f}°"
+def cell(values: Iterable[float], score: str) -> str:
+    """The mean of what there is and its standard error over the scenes."""
+    known = [value for value in values if not math.isnan(value)]
+    digits = {"seconds": 0, "depth": 1, "trajectory": 3}.get(score, 2)
+    if not known:
+        return "–"
+    error = f" ± {np.std(known, ddof=1) / math.sqrt(len(known)):.{digits}f}" if len(known) > 1 else ""
+    return f"{np.mean(known):.{digits}f}{error}"
 
 
 def errors(options: argparse.Namespace) -> None:
@@ -159,14 +176,14 @@ def main() -> None:
     """Parse, measure, print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(required=True)
-    command = commands.add_parser("registered", help="share of views that structure from motion registers")
-    command.add_argument("--set", type=Path, required=True)
+    command = commands.add_parser("light", help="poses against light")
     command.add_argument("--out", type=Path, required=True)
+    command.add_argument("--scenes", nargs="+", default=list(SCENES))
     command.add_argument("--electrons", type=float, nargs="+", default=list(ELECTRONS))
-    command.add_argument("--pictures", nargs="+", choices=PICTURES, default=list(PICTURES))
-    command.add_argument("--steps", type=int, default=STEPS, help="of the denoiser")
+    command.add_argument("--cameras", nargs="+", help="sources, instead of the usual ones of structure from motion")
+    command.add_argument("--bursts", type=int, nargs="+", default=[1], help="frames of a view, with --cameras")
     command.add_argument("--seed", type=int, default=0)
-    command.set_defaults(run=registered)
+    command.set_defaults(run=light)
     command = commands.add_parser("errors", help="PSNR against the rotation error of the cameras")
     command.add_argument("--out", type=Path, required=True)
     command.add_argument("--method", default="naive-l1")

@@ -8,6 +8,7 @@ rotation about a line of cameras undetermined, as with any two cameras.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
 
@@ -150,6 +151,14 @@ def depth_scale(
     Returns:
         NaN if no point falls on a surface.
     """
+    ratios = depth_ratios(estimate, similarity, viewmats_true, Ks, depths)
+    return float(np.median(ratios)) if len(ratios) else math.nan
+
+
+def depth_ratios(
+    estimate: CameraEstimate, similarity: Similarity, viewmats_true: Tensor, Ks: Tensor, depths: Tensor
+) -> Array:
+    """Aligned over true depth of every point in every view that has it in frame, [n]; arguments as `depth_scale`."""
     points = similarity.apply(estimate.points).numpy()
     found = [np.empty(0)]
     for viewmat, K, depth in zip(viewmats_true.double().numpy(), Ks.double().numpy(), depths.numpy(), strict=True):
@@ -159,8 +168,63 @@ def depth_scale(
         with np.errstate(divide="ignore"):
             ratio = z[chosen] / depth[y, x]
         found.append(ratio[np.isfinite(ratio) & (ratio > 0)])
-    ratios = np.concatenate(found)
-    return float(np.median(ratios)) if len(ratios) else math.nan
+    return np.concatenate(found)
+
+
+def pair_errors(viewmats_estimated: Array, viewmats_true: Array, registered: Sequence[int]) -> tuple[Array, Array]:
+    """Errors of the relative poses of all pairs of views, degrees: of the rotation [P], of the direction of the
+    translation [P'].
+
+    Both are infinite for a pair of which a view has no camera. A direction and its opposite differ by 180 degrees: the
+    benchmarks of networks that take them for one let a mirrored answer pass. Pairs whose true cameras stand at one
+    place have no direction and are left out of P'.
+
+    Args:
+        viewmats_estimated: [R, 4, 4], in any frame, at any scale.
+        viewmats_true: [C, 4, 4], of all views that were asked for.
+        registered: The place of each estimated camera among these.
+    """
+    place = {view: k for k, view in enumerate(registered)}
+    extent = extent_of(viewmats_true)
+    turns, directions = list[float](), list[float]()
+    for i, j in combinations(range(len(viewmats_true)), 2):
+        true = viewmats_true[j] @ np.linalg.inv(viewmats_true[i])
+        moves = float(np.linalg.norm(true[:3, 3])) > 1e-9 * extent  # nearer than rounding there is no direction
+        if i not in place or j not in place:
+            turns.append(math.inf)
+            directions += [math.inf] * moves
+            continue
+        found = viewmats_estimated[place[j]] @ np.linalg.inv(viewmats_estimated[place[i]])
+        chord = float(np.linalg.norm(found[:3, :3] - true[:3, :3])) / math.sqrt(8)
+        turns.append(math.degrees(2 * math.asin(min(chord, 1.0))))
+        if moves:
+            a, b = found[:3, 3], true[:3, 3]
+            angle = math.atan2(float(np.linalg.norm(np.cross(a, b))), float(a @ b)) if a.any() else math.pi
+            directions.append(math.degrees(angle))
+    return np.array(turns), np.array(directions)
+
+
+def auc(errors: Array, threshold: float) -> float:
+    """Area under the share of errors below t, over t from 0 to `threshold`, 1 at best; nan of none.
+
+    The exact area of the steps; benchmarks that sum over bins, or draw lines between errors, differ a little.
+    """
+    return float(np.clip(1 - errors / threshold, 0, 1).mean()) if len(errors) else math.nan
+
+
+def left_apart(moved: Array, fixed: Array) -> float:
+    """Root mean square distance of points [n, 3] to others after the similarity of least squares (Umeyama 1991)."""
+    a, b = moved - moved.mean(0), fixed - fixed.mean(0)
+    U, s, Vt = np.linalg.svd(b.T @ a)
+    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])  # a mirror is no turn
+    squares = float((a**2).sum())
+    scale = float((s * signs).sum()) / squares if squares > 0 else 0.0  # all at one point: every scale is as good
+    return float(np.sqrt(((b - scale * a @ ((U * signs) @ Vt).T) ** 2).sum(1).mean()))
+
+
+def trajectory_error(viewmats_estimated: Array, viewmats_true: Array) -> float:
+    """`left_apart` of the centres of cameras [R, 4, 4], in extents of the true ones; rotations have no say."""
+    return left_apart(centers_of(viewmats_estimated), centers_of(viewmats_true)) / extent_of(viewmats_true)
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from novags.cameras.align import Similarity, align, depth_scale, to_estimated, to_true
+from novags.cameras.align import (
+    Similarity,
+    align,
+    auc,
+    depth_scale,
+    left_apart,
+    pair_errors,
+    to_estimated,
+    to_true,
+    trajectory_error,
+)
 from novags.cameras.estimate import CameraEstimate, extent_of
 from simscenes.rigs import Rig, orbit_rig
 
@@ -220,6 +230,73 @@ def test_similarities_are_a_group(seed):
     assert differ(a @ a.inverse(), identity) < 1e-9
     assert differ(a.inverse() @ a, identity) < 1e-9
     assert differ(a @ identity, a) == differ(identity @ a, a) == 0
+
+
+def test_what_a_similarity_leaves_apart_is_what_colmaps_leaves():
+    rng = np.random.default_rng(1)
+    points = rng.normal(size=(12, 3))
+    turned = 0.3 * points @ Rotation.random(random_state=2).as_matrix().T + [1.0, 2.0, 3.0]
+    assert left_apart(points, turned) < 1e-9
+    noisy = turned + 0.05 * rng.normal(size=points.shape)
+    theirs = pycolmap.estimate_sim3d(points, noisy)
+    away = np.array([theirs * point for point in points]) - noisy
+    assert left_apart(points, noisy) == pytest.approx(float(np.sqrt((away**2).sum(1).mean())), rel=1e-9)
+    assert left_apart(points, points * [-1.0, 1.0, 1.0]) > 0.3  # a mirror is no turn
+    assert left_apart(np.zeros((4, 3)), points[:4]) > 0  # all at one point
+
+
+def test_errors_of_pairs_are_colmaps_of_their_relative_poses():
+    rng = np.random.default_rng(3)
+    true = orbit(5).numpy()
+    similarity = some(rng)
+    found = to_estimated(similarity, noisy(orbit(5), 4.0, 0.1, rng)).numpy()
+    turns, directions = pair_errors(found, true, range(5))
+    k = 0
+    for i in range(5):
+        for j in range(i + 1, 5):
+            a, b = (pycolmap.Rigid3d(v[j, :3]) * pycolmap.Rigid3d(v[i, :3]).inverse() for v in (found, true))
+            assert turns[k] == pytest.approx(math.degrees(a.rotation.angle_to(b.rotation)), abs=1e-6)
+            cosine = a.translation @ b.translation / np.linalg.norm(a.translation) / np.linalg.norm(b.translation)
+            assert directions[k] == pytest.approx(math.degrees(math.acos(cosine)), abs=1e-5)
+            k += 1
+    assert 0.5 < turns.mean() < 10
+
+
+def test_pairs_without_a_camera_are_lost_and_a_mirrored_world_is_wrong():
+    true = orbit(4).numpy()
+    turns, directions = pair_errors(true[[0, 2, 3]], true, [0, 2, 3])
+    lost = [True, False, False, True, True, False]  # 01 02 03 12 13 23
+    assert np.isinf(turns).tolist() == np.isinf(directions).tolist() == lost
+    np.testing.assert_allclose(turns[np.isfinite(turns)], 0, atol=1e-5)
+    backwards = true.copy()
+    backwards[:, :3, 3] *= -1
+    assert np.allclose(pair_errors(backwards, true, range(4))[1], 180, atol=1e-4)
+    same = true.copy()
+    same[1, :3, 3] = -same[1, :3, :3] @ centres(torch.from_numpy(same))[0]
+    turns, directions = pair_errors(true, same, range(4))
+    assert (len(turns), len(directions)) == (6, 5)  # two true cameras at one place
+
+
+@pytest.mark.parametrize(
+    ("errors", "wanted"), [([0.0, 0.0], 1.0), ([5.0, 9.0], 0.0), ([1.0, 4.0, math.inf], (0.8 + 0.2) / 3), ([2.5], 0.5)]
+)
+def test_the_area_is_that_below_the_share_of_errors(errors, wanted):
+    """Independent: the area by many thin bins."""
+    found = auc(np.array(errors), 5.0)
+    assert found == pytest.approx(wanted)
+    edges = np.linspace(0, 5, 20001)
+    assert found == pytest.approx(np.mean([np.mean(np.array(errors) <= t) for t in edges]), abs=1e-3)
+
+
+def test_the_trajectory_error_is_in_extents_and_blind_to_the_frame():
+    rng = np.random.default_rng(5)
+    true = orbit(8).numpy()
+    found = to_estimated(some(rng), torch.from_numpy(true)).numpy()
+    assert trajectory_error(found, true) < 1e-9
+    moved = noisy(orbit(8), 0.0, 0.3, rng).numpy()
+    theirs = left_apart(centres(torch.from_numpy(moved)), centres(torch.from_numpy(true)))
+    assert trajectory_error(moved, true) == pytest.approx(theirs / extent_of(true))
+    assert math.isnan(auc(np.zeros(0), 5.0))
 
 
 def test_points_twice_as_deep_have_a_depth_scale_of_two():

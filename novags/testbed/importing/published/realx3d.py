@@ -24,6 +24,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from novags.cameras.align import left_apart
+from novags.cameras.estimate import centers_of
 from novags.testbed.importing.split import Split
 from sensor_model.files.door import read_bytes, resolved
 from sensor_model.files.reading import brief, some
@@ -176,28 +178,12 @@ def _check_alike(
     place = {file: i for i, file in enumerate(files)}
     theirs = np.stack([from_transforms[place[file]] for file in found.files])
     here = found.rig.positions
-    there = -np.einsum("cij,ci->cj", theirs[:, :3, :3], theirs[:, :3, 3])
-    away = residual(there, here)
-    if away > APART:
+    away = left_apart(centers_of(theirs), here) / max(float(np.linalg.norm(np.ptp(here, axis=0))), 1e-12)
+    if len(here) > 2 and away > APART:  # two cameras agree with any two
         raise ValueError(
             f"{model} and {source} are of different scenes: the camera positions differ by {away:.1%} of their extent "
             "after the best turn, scale and shift: download the scene again"
         )
-
-
-def residual(moved: Float, fixed: Float) -> float:
-    """Root mean square distance of points [n,3] to others after the best similarity, over the extent of the others.
-
-    Umeyama, "Least-squares estimation of transformation parameters between two point patterns" (1991).
-    """
-    a, b = moved - moved.mean(0), fixed - fixed.mean(0)
-    spread = float((b**2).sum())
-    if len(a) < 3 or not (a**2).sum() > 0 or not spread > 0:
-        return 0.0  # nothing to compare
-    u, s, vt = np.linalg.svd(b.T @ a)
-    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
-    left = spread - float((s * signs).sum()) ** 2 / float((a**2).sum())
-    return float(np.sqrt(max(left, 0.0) / spread))
 
 
 def _above(folder: Path) -> Iterator[Path]:

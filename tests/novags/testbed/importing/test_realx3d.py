@@ -21,7 +21,7 @@ from novags.testbed.folders.references import true_depth
 from novags.testbed.folders.run import open_run
 from novags.testbed.folders.set import open_source
 from novags.testbed.importing.published.datasets import dataset_of, scenes_below
-from novags.testbed.importing.published.realx3d import in_metres, read_depth, residual
+from novags.testbed.importing.published.realx3d import in_metres, read_depth
 from novags.testbed.metrics.geometry import seen_points, surface_scores
 from novags.testbed.report.page import write_reports
 from novags.testbed.stages.configs.importing import ImportConfig
@@ -127,16 +127,6 @@ def test_in_metres_a_point_has_the_pixel_it_had_and_a_depth_larger_by_the_scale(
     moved, scaled = in_metres(rig, matrix).project(points @ matrix[:3, :3].T + matrix[:3, 3])
     np.testing.assert_allclose(moved, pixels, atol=1e-6)
     np.testing.assert_allclose(scaled, 1.7 * depths, atol=1e-9)
-
-
-def test_the_residual_of_two_point_sets_is_what_is_left_after_the_best_similarity() -> None:
-    rng = np.random.default_rng(1)
-    points = rng.normal(size=(12, 3))
-    turned = 0.3 * points @ Rotation.random(random_state=2).as_matrix().T + [1.0, 2.0, 3.0]
-    assert residual(points, turned) < 1e-7
-    noise = rng.normal(size=points.shape)
-    assert 0.2 < residual(points, points + 0.5 * noise) < 0.6
-    assert residual(points, points * [-1.0, 1.0, 1.0]) > 0.2  # a mirror is no turn
 
 
 def test_without_the_model_cameras_are_in_the_frame_of_the_transforms_and_the_scan_is_left_out(tmp_path: Path) -> None:
