@@ -5,6 +5,7 @@ import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from novags.settings import changed
 from novags.testbed import stages
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import Capture, open_capture
-from novags.testbed.folders.references import true_depth
+from novags.testbed.folders.references import references, true_depth
 from novags.testbed.folders.run import open_run
 from novags.testbed.folders.set import open_source
 from novags.testbed.importing.published.datasets import dataset_of, scenes_below
@@ -26,6 +27,7 @@ from novags.testbed.metrics.geometry import seen_points, surface_scores
 from novags.testbed.report.page import write_reports
 from novags.testbed.stages.configs.importing import ImportConfig
 from novags.testbed.stages.configs.reconstructing import ReconstructConfig
+from novags.testbed.viewer.shown import Shown
 from simscenes.rigs import opengl_to_opencv
 from simscenes.sets.readers.ply_points import read_ply_points
 from tests.miniatures import (
@@ -82,6 +84,17 @@ def test_a_view_known_in_good_light_only_is_never_taken_for_a_dark_one(tmp_path:
 
     model = pycolmap.Reconstruction(str(tmp_path / "cap" / "sparse" / "0"))
     assert sorted(image.name for image in model.images.values()) == [f"{i + 1:04d}.png" for i in TRAIN]
+
+
+def test_the_viewer_shows_no_picture_that_a_view_does_not_have(tmp_path: Path) -> None:
+    folder, nothing = realx3d(tmp_path / "RealX3D"), SimpleNamespace()
+    shutil.rmtree(folder / "val")
+    capture = brought(folder, tmp_path / "cap")
+    runs: Any = {"a": SimpleNamespace(enhancement=None, path=tmp_path)}
+    shown = Shown("t", capture, capture.source(QUIET), runs, nothing, nothing)  # type: ignore[arg-type]
+    for i in range(VIEWS):
+        dark, true = (shown.picture(kind, "a", i) for kind in ("dark", "true"))
+        assert (dark is not None, true is not None) == (i in TRAIN, i in REALX3D_TEST)
 
 
 def test_points_of_the_model_and_depth_of_the_scan_are_in_the_frame_of_the_cameras(tmp_path: Path) -> None:
@@ -152,6 +165,8 @@ def test_the_layout_of_the_challenge_has_lit_pictures_of_its_held_out_views_alon
     np.testing.assert_array_equal(np.round(255 * source.lit(8)), lit_picture(8))
     with pytest.raises(ValueError, match="view 0001 of .* is not known in good light"):
         source.lit(0)
+    run: Any = SimpleNamespace(space="enhanced", enhancement=None, lacks=None)
+    assert [list(references(run, capture, source, i)) for i in (0, 8)] == [[], ["lit"]]
 
 
 def test_without_held_out_pictures_every_8th_dark_one_is_held_out_and_that_is_said(tmp_path: Path) -> None:
