@@ -22,7 +22,7 @@ from novags.commands.photographs import denoise, import_
 from novags.commands.results import characterise, explain, export_results, report, score
 from novags.commands.stages import capture, plan, poses, reconstruct, render
 from novags.commands.store import store
-from novags.commands.study import compare, study
+from novags.commands.study import compare, compare_sets, study
 from novags.failure import errors_in_one_line, warnings_in_one_line
 
 TYPES = tyro.constructors.ConstructorRegistry()
@@ -45,6 +45,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
         score,
         explain,
         compare,
+        compare_sets,
         report,
         view,
         video,

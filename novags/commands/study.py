@@ -259,6 +259,38 @@ def compare(
             raise SystemExit(BELOW)
 
 
+def compare_sets(
+    twin: Folder, real: Folder, *, against: str = "naive", where: tuple[str, ...] = (), noise: bool = True,
+    out: Path | None = None,
+) -> None:  # fmt: skip
+    """Say whether a simulated study predicts a real one: the order of methods, their differences, the noise.
+
+    Scenes need not be the same: nothing is paired across the two. Noise is estimated from the pictures of both.
+
+    Args:
+        twin: Folder of the simulated study.
+        real: Folder of the study of photographs, with the same methods.
+        against: The method that others are compared with.
+        where: NAME=VALUE: of an axis with several values the one that counts, of the side that has it.
+        noise: Compare the noise of the pictures too.
+        out: A CSV file for the differences; none if not given.
+    """
+    from novags.testbed.console.csv_text import as_csv
+    from novags.testbed.study.versions.twins import Side, TwinVerdict, noise_ratios
+    from sensor_model.files.atomic import write_text
+
+    chosen = dict(word.partition("=")[::2] for word in where)
+    if wrong := next((word for word in where if "=" not in word), None):
+        raise ValueError(f"--where must be NAME=VALUE, got {wrong!r}")
+    sides = Side.of(twin, chosen), Side.of(real, chosen)
+    ratios = noise_ratios(*(side.pictures() for side in sides)) if noise else []
+    verdict = TwinVerdict(*sides, against, ratios)
+    lines = verdict.lines()
+    if out is not None:
+        write_text(out, as_csv(verdict.rows()))
+    say("\n".join(lines))
+
+
 def _variant(name: str, texts: Sequence[str]) -> list[str]:
     """The words that tell `novags reconstruct` of the variant of this name, if it is one of these."""
     mine = [text for text in texts if name in {each.name for each in variants_of((text,))}]
