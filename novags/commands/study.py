@@ -273,12 +273,14 @@ def compare_sets(
         against: The method that others are compared with.
         where: NAME=VALUE: of an axis with several values the one that counts, of the side that has it.
         noise: Compare the noise of the pictures too.
-        out: A CSV file for the differences; none if not given.
+        out: A new CSV file for the differences; none if not given.
     """
     from novags.testbed.console.csv_text import as_csv
     from novags.testbed.study.versions.twins import Side, TwinVerdict, noise_ratios
     from sensor_model.files.atomic import write_text
 
+    if out is not None and out.exists():
+        raise ValueError(f"{out} is there already: name another file, or remove it")
     chosen = dict(word.partition("=")[::2] for word in where)
     if wrong := next((word for word in where if "=" not in word), None):
         raise ValueError(f"--where must be NAME=VALUE, got {wrong!r}")

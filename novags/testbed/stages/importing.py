@@ -22,7 +22,6 @@ from novags.testbed.importing.raw_camera import raw_camera
 from novags.testbed.importing.stored import Codes16, is_lossy, read_stored
 from novags.testbed.importing.twins import Twins, lit_alone, twins_by_order, twins_of
 from novags.testbed.ledger.stage import run_stage
-from novags.testbed.metrics.geometry import thinned
 from novags.testbed.stages.capturing import files_of
 from novags.testbed.stages.configs.importing import ImportConfig
 from novags.testbed.stages.paths import keep_apart
@@ -264,6 +263,8 @@ def import_views(
         lit_alone=views.lit_alone,
     )  # fmt: skip
     if (scan := dark.beside.get("scan")) is not None:
+        from novags.testbed.metrics.geometry import thinned  # scipy comes with it
+
         points = thinned(read_ply_points(scan, most=None).about(views.origin).xyz)
         write_points(folder / SCAN, points, np.full(points.shape, 128, np.uint8))
     return record_of(material, prepared, config)

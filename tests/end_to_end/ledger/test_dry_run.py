@@ -167,6 +167,7 @@ MAKES_NOTHING = {
     "view": "shows runs until it is stopped",
     "doctor": "prints what works here",
     "new": "writes one small file, and none over another",
+    "compare-sets": "prints a verdict; writes one small file where one is asked for, and none over another",
 }
 
 

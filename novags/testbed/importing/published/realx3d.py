@@ -24,8 +24,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from novags.cameras.align import left_apart
-from novags.cameras.estimate import centers_of
 from novags.testbed.importing.split import Split
 from sensor_model.files.door import read_bytes, resolved
 from sensor_model.files.reading import brief, some
@@ -175,6 +173,9 @@ def _check_alike(
     found: Photographs, files: list[Path | None], from_transforms: list[Float], model: Path, source: Path
 ) -> None:
     """Refuse a model and transforms that no similarity brings together."""
+    from novags.cameras.align import left_apart  # torch comes with it: lists of data sets must not wait for that
+    from novags.cameras.estimate import centers_of
+
     place = {file: i for i, file in enumerate(files)}
     theirs = np.stack([from_transforms[place[file]] for file in found.files])
     here = found.rig.positions
