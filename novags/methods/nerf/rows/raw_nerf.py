@@ -41,5 +41,5 @@ METHOD = Method(
     train=Later("novags.methods.nerf.raw:train"),
     parts=fit_parts,
     source="RawNeRF (Mildenhall et al. 2022)",
-    memory=Memory(fixed=1.0e9),
+    memory=Memory(fixed=1.0e9, pictures=2.3),
 )

@@ -123,7 +123,7 @@ def test_adaptive_curves_are_the_published_equations():
 
 
 def test_naka_is_the_response_between_its_ends():
-    dark = picture()
+    dark = 0.9 * picture() + 0.02  # nothing is black: both ends are the picture's own
     response = [x / (x + 0.05) for x in dark.ravel()]
     low, high = min(response), max(response)
     np.testing.assert_allclose(run(NakaConfig(), dark)[0].ravel(), [(y - low) / (high - low) for y in response])
