@@ -123,7 +123,8 @@ def metrics() -> dict[str, str]:
     after = {"none": "", "affine": ", after a gain and an offset per channel",
              "tone": ", after a monotone curve per channel"}  # fmt: skip
     return {name: f"{row.heading}{f', {row.unit}' * bool(row.unit)}{after[row.aligned]}: {better[row.more]}"
-                  f"{_from(METRICS, name)}" for name, row in METRICS.items()}  # fmt: skip
+                  f"{f' (of {row.protocol} alone)' * bool(row.protocol)}{_from(METRICS, name)}"
+            for name, row in METRICS.items()}  # fmt: skip
 
 
 def effects() -> dict[str, str]:
