@@ -13,6 +13,7 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -253,8 +254,9 @@ def virtual_gpu() -> Iterator[Waits]:
     grouping = "_group_tensors_by_device_and_dtype"
     memory: Callable[..., int] = lambda *_: 0  # noqa: E731
     WAITED.clear()
+    optimizer = import_module("torch.optim.optimizer")
     with (
-        patch.object(torch, "Generator", Generator), patch(f"torch.optim.optimizer.{grouping}", _grouped),
+        patch.object(torch, "Generator", Generator), patch.object(optimizer, grouping, _grouped),
         patch(f"torch.nn.utils.clip_grad.{grouping}", _grouped),
         patch("torch.cuda.max_memory_allocated", memory),
         patch("torch.__future__.get_overwrite_module_params_on_conversion", lambda: True), _Calls(),

@@ -74,11 +74,11 @@ def test_other_orders_types_and_extra_properties_are_read(tmp_path):
     record = np.dtype([(name, "u1" if name == "label" else "<f8") for name in names])
     table = np.zeros(4, record)
     for i in range(4):
-        table[f"rot_{i}"] = gaussians.quats[:, i]
+        table[f"rot_{i}"] = gaussians.quats[:, i].numpy()
     for i in range(3):
-        table[f"f_dc_{i}"], table[f"scale_{i}"] = gaussians.sh[:, 0, i], gaussians.log_scales[:, i]
-        table["xyz"[i]] = gaussians.means[:, i]
-    table["opacity"] = gaussians.logit_opacities
+        table[f"f_dc_{i}"], table[f"scale_{i}"] = gaussians.sh[:, 0, i].numpy(), gaussians.log_scales[:, i].numpy()
+        table["xyz"[i]] = gaussians.means[:, i].numpy()
+    table["opacity"] = gaussians.logit_opacities.numpy()
     kinds = [f"property {'uchar' if name == 'label' else 'double'} {name}" for name in names]
     header = [
         "ply",

@@ -109,8 +109,10 @@ def test_a_set_without_a_focal_length_is_told_every_key_that_would_do(tmp_path: 
     ],
 )
 def test_angles_out_of_range_are_refused(stated: dict[str, Any], message: str, tmp_path: Path) -> None:
-    with warnings.catch_warnings(action="error"), pytest.raises(ValueError, match=message):
-        load_set(folder_of(tmp_path, **stated))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(ValueError, match=message):
+            load_set(folder_of(tmp_path, **stated))
 
 
 def test_a_principal_point_of_larger_pictures_asks_for_their_size(tmp_path: Path) -> None:
