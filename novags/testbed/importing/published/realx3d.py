@@ -128,8 +128,10 @@ def open_scene(folder: Path, split: Split) -> MultiviewSet:
         warnings.warn(f"{folder} has no picture of a held-out view (the challenge kept them): every 8th dark picture "
                       "is held out", stacklevel=2)  # fmt: skip
         frames, poses, files = frames[:dark], poses[:dark], files[:dark]
-    if twice := sorted(file.name for file in held if file in files[:dark]):
-        raise ValueError(f"{tested} lists pictures of {TRAIN} ({some(twice, 4)}): download the scene again")
+    stems = {file.stem for file in files[:dark] if file is not None}
+    if twice := sorted(file.name for file in held if file.stem in stems):  # cameras and depths go by these names
+        raise ValueError(f"{tested} lists pictures that have names of pictures in {TRAIN} ({some(twice, 4)}), and each "
+                         "view must have its own: download the scene again")  # fmt: skip
     source = folder / TRAIN
     from_transforms = [opengl_to_opencv(pose) for pose in poses]
     if (model := _model(folder)) is None:

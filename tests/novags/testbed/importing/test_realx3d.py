@@ -224,6 +224,12 @@ def lose_views_of_the_model(folder: Path) -> None:
     colmap(folder / "sparse" / "0", [f"{i + 1:04d}.png" for i in range(8)], few)
 
 
+def name_a_held_out_view_like_a_dark_one(folder: Path) -> None:
+    (folder / "test" / "0008.png").rename(folder / "test" / "0001.png")
+    text = (folder / "transforms_test.json").read_text()
+    (folder / "transforms_test.json").write_text(text.replace("test/0008.png", "test/0001.png"))
+
+
 def exchange_the_transforms(folder: Path) -> None:
     rng = np.random.default_rng(0)
     for part in ("train", "test"):
@@ -249,6 +255,7 @@ def colour_the_depth(folder: Path) -> None:
         (break_matrix, "must hold a turn, a positive scale and a shift"),
         (cut_matrix, "holds no matrix of numbers"),
         (lose_views_of_the_model, "lacks 1 of the 9 listed views .0009.: download the scene again"),
+        (name_a_held_out_view_like_a_dark_one, "have names of pictures in transforms_train.json .0001.png."),
         (exchange_the_transforms, "are of different scenes: the camera positions differ by"),
         (shrink_the_depth, "0001.png is 30 x 30 px, another shape than its view"),
         (colour_the_depth, "0001.png must be a grey picture of 16 bits"),
