@@ -260,7 +260,7 @@ def compare(
 
 
 def compare_sets(
-    twin: Folder, real: Folder, *, against: str = "naive", where: tuple[str, ...] = (), noise: bool = True,
+    twin: Folder, real: Folder, *, against: str | None = None, where: tuple[str, ...] = (), noise: bool = True,
     out: Path | None = None,
 ) -> None:  # fmt: skip
     """Say whether a simulated study predicts a real one: the order of methods, their differences, the noise.
@@ -270,13 +270,13 @@ def compare_sets(
     Args:
         twin: Folder of the simulated study.
         real: Folder of the study of photographs, with the same methods.
-        against: The method that others are compared with.
+        against: The method that others are compared with; the floor of the scale if not given.
         where: NAME=VALUE: of an axis with several values the one that counts, of the side that has it.
         noise: Compare the noise of the pictures too.
         out: A new CSV file for the differences; none if not given.
     """
     from novags.testbed.console.csv_text import as_csv
-    from novags.testbed.study.versions.twins import Side, TwinVerdict, noise_ratios
+    from novags.testbed.study.versions.twins import StudySide, TwinVerdict, floor_of, noise_ratios
     from sensor_model.files.atomic import write_text
 
     if out is not None and out.exists():
@@ -284,9 +284,9 @@ def compare_sets(
     chosen = dict(word.partition("=")[::2] for word in where)
     if wrong := next((word for word in where if "=" not in word), None):
         raise ValueError(f"--where must be NAME=VALUE, got {wrong!r}")
-    sides = Side.of(twin, chosen), Side.of(real, chosen)
+    sides = StudySide.of(twin, chosen), StudySide.of(real, chosen)
     ratios = noise_ratios(*(side.pictures() for side in sides)) if noise else []
-    verdict = TwinVerdict(*sides, against, ratios)
+    verdict = TwinVerdict(*sides, against or floor_of(sides[0].methods), ratios)
     lines = verdict.lines()
     if out is not None:
         write_text(out, as_csv(verdict.rows()))

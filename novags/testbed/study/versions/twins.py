@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from novags.methods import METHODS
 from novags.methods.noise_estimate import noise_from
 from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.run import open_run
@@ -38,7 +39,7 @@ BETWEEN_SETS = 0.04
 
 
 @dataclass(frozen=True)
-class Side:
+class StudySide:
     """The finished runs of one study.
 
     Attributes:
@@ -50,7 +51,7 @@ class Side:
     rows: Sequence[Mapping[str, Any]]
 
     @staticmethod
-    def of(path: Path, where: Mapping[str, str]) -> "Side":
+    def of(path: Path, where: Mapping[str, str]) -> "StudySide":
         """The runs of a study's folder that have these values.
 
         Raises:
@@ -69,7 +70,7 @@ class Side:
             if len(values) > 1:
                 raise ValueError(f"{path} has runs of several {name} ({some(values, 6)}), and one is to be compared: "
                                  f"add --where {name}={values[0]}")  # fmt: skip
-        return Side(path, rows)
+        return StudySide(path, rows)
 
     @cached_property
     def scores(self) -> list[dict[str, Any]]:
@@ -101,6 +102,12 @@ class Side:
             capture = open_run(self.path / row["folder"]).capture()
             found.setdefault(capture.path, capture)
         return [each for capture in found.values() for each in pictures_of(capture)]
+
+
+def floor_of(methods: Sequence[str]) -> str:
+    """The floor of the scale among some methods, else the first."""
+    rows = (name for name in methods if name in METHODS and METHODS[name].bound == "floor")
+    return next(rows, methods[0])
 
 
 def _spelt(where: Mapping[str, str]) -> str:
@@ -183,8 +190,8 @@ class NoiseRatio:
 class TwinVerdict:
     """What a simulated study predicts of a real one."""
 
-    twin: Side
-    real: Side
+    twin: StudySide
+    real: StudySide
     against: str
     noise: Sequence[NoiseRatio]
 

@@ -12,7 +12,7 @@ import torch
 from scipy.stats import spearmanr
 
 from novags.testbed.study.versions import twins
-from novags.testbed.study.versions.twins import Side, TwinVerdict, noise_ratios, rank_correlation
+from novags.testbed.study.versions.twins import StudySide, TwinVerdict, floor_of, noise_ratios, rank_correlation
 from sensor_model import PRESETS, Exposure, Sensor, develop, expose, from_linear16
 
 METHODS = {"naive": 20.0, "a": 21.0, "b": 22.0, "c": 23.5}
@@ -53,7 +53,7 @@ def _plain_runs(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def verdict(twin: Path, real: Path, **more: Any) -> TwinVerdict:
-    return TwinVerdict(Side.of(twin, {}), Side.of(real, {}), **{"against": "naive", "noise": []} | more)
+    return TwinVerdict(StudySide.of(twin, {}), StudySide.of(real, {}), **{"against": "naive", "noise": []} | more)
 
 
 @pytest.mark.parametrize("count", [4, 6, 12])
@@ -110,13 +110,22 @@ def test_what_cannot_be_compared_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="--against must be a method of both studies"):
         verdict(twin, twin, against="oracle").lines()
     with pytest.raises(ValueError, match="holds no results.json: it is no folder of a study"):
-        Side.of(tmp_path, {})
+        StudySide.of(tmp_path, {})
     several = study(tmp_path / "several", METHODS, electrons=(5, 20))
     with pytest.raises(ValueError, match="runs of several electrons .5, 20.* add --where electrons=5"):
-        Side.of(several, {})
-    assert len(Side.of(several, {"electrons": "5"}).rows) == len(Side.of(several, {"electrons": "5"}).scores) == 24
+        StudySide.of(several, {})
+    assert (
+        len(StudySide.of(several, {"electrons": "5"}).rows)
+        == len(StudySide.of(several, {"electrons": "5"}).scores)
+        == 24
+    )
     with pytest.raises(ValueError, match="no finished run with electrons=7"):
-        Side.of(several, {"electrons": "7"})
+        StudySide.of(several, {"electrons": "7"})
+
+
+def test_the_floor_of_the_scale_is_what_others_are_compared_with() -> None:
+    assert floor_of(["nova", "naive", "oracle"]) == "naive"
+    assert floor_of(["mine", "nova"]) == "mine"
 
 
 def pictures(sensor: Sensor, seed: int, views: int = 6) -> list[tuple[torch.Tensor, torch.Tensor | None]]:
