@@ -171,6 +171,13 @@ def depth_ratios(
     return np.concatenate(found)
 
 
+def angles_between(one: Array, other: Array) -> Array:
+    """Angles of the rotations between rotations [..., 3, 3], radians."""
+    # |R - Q| = 2 sqrt(2) sin(angle / 2): exact for small angles, where the arc cosine of the trace is not.
+    chord = np.linalg.norm(one - other, axis=(-2, -1)) / math.sqrt(8)
+    return np.asarray(2 * np.arcsin(np.minimum(chord, 1)))
+
+
 def pair_errors(viewmats_estimated: Array, viewmats_true: Array, registered: Sequence[int]) -> tuple[Array, Array]:
     """Errors of the relative poses of all pairs of views, degrees: of the rotation [P], of the direction of the
     translation [P'].
@@ -189,14 +196,14 @@ def pair_errors(viewmats_estimated: Array, viewmats_true: Array, registered: Seq
     turns, directions = list[float](), list[float]()
     for i, j in combinations(range(len(viewmats_true)), 2):
         true = viewmats_true[j] @ np.linalg.inv(viewmats_true[i])
-        moves = float(np.linalg.norm(true[:3, 3])) > 1e-9 * extent  # nearer than rounding there is no direction
+        # Between closer cameras rounding makes the direction.
+        moves = float(np.linalg.norm(true[:3, 3])) > 1e-9 * extent
         if i not in place or j not in place:
             turns.append(math.inf)
             directions += [math.inf] * moves
             continue
         found = viewmats_estimated[place[j]] @ np.linalg.inv(viewmats_estimated[place[i]])
-        chord = float(np.linalg.norm(found[:3, :3] - true[:3, :3])) / math.sqrt(8)
-        turns.append(math.degrees(2 * math.asin(min(chord, 1.0))))
+        turns.append(math.degrees(angles_between(found[:3, :3], true[:3, :3])))
         if moves:
             a, b = found[:3, 3], true[:3, 3]
             angle = math.atan2(float(np.linalg.norm(np.cross(a, b))), float(a @ b)) if a.any() else math.pi
@@ -216,7 +223,7 @@ def left_apart(moved: Array, fixed: Array) -> float:
     """Root mean square distance of points [n, 3] to others after the similarity of least squares (Umeyama 1991)."""
     a, b = moved - moved.mean(0), fixed - fixed.mean(0)
     U, s, Vt = np.linalg.svd(b.T @ a)
-    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])  # a mirror is no turn
+    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])  # a reflection is not a rotation
     squares = float((a**2).sum())
     scale = float((s * signs).sum()) / squares if squares > 0 else 0.0  # all at one point: every scale is as good
     return float(np.sqrt(((b - scale * a @ ((U * signs) @ Vt).T) ** 2).sum(1).mean()))
@@ -238,11 +245,10 @@ class _Fits:
     def errors(self, estimated: Array, true: Array, extent: float) -> tuple[Array, Array]:
         """Angles [H, R] in radians and distances of the centres [H, R] in extents, for cameras [R, 4, 4]."""
         turned = estimated[None, :, :3, :3] @ self.rotations.transpose(0, 2, 1)[:, None]
-        # |R - Q| = 2 sqrt(2) sin(angle / 2): exact for small angles, where the arc cosine of the trace is not.
-        chord = np.linalg.norm(turned - true[:, :3, :3], axis=(-2, -1)) / math.sqrt(8)
+        angles = angles_between(turned, true[:, :3, :3])
         centers = self.scales[:, None, None] * (centers_of(estimated) @ self.rotations.transpose(0, 2, 1))
         distances = np.linalg.norm(centers + self.translations[:, None] - centers_of(true), axis=-1)
-        return 2 * np.arcsin(np.minimum(chord, 1)), distances / extent
+        return angles, distances / extent
 
 
 def _robust(estimated: Array, true: Array, extent: float) -> tuple[_Fits, np.ndarray]:

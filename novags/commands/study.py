@@ -276,7 +276,7 @@ def compare_sets(
         out: A new CSV file for the differences; none if not given.
     """
     from novags.testbed.console.csv_text import as_csv
-    from novags.testbed.study.versions.twins import StudySide, TwinVerdict, floor_of, noise_ratios
+    from novags.testbed.study.versions.twins import TwinVerdict, both_sides, floor_of, noise_ratios
     from sensor_model.files.atomic import write_text
 
     if out is not None and out.exists():
@@ -284,7 +284,7 @@ def compare_sets(
     chosen = dict(word.partition("=")[::2] for word in where)
     if wrong := next((word for word in where if "=" not in word), None):
         raise ValueError(f"--where must be NAME=VALUE, got {wrong!r}")
-    sides = StudySide.of(twin, chosen), StudySide.of(real, chosen)
+    sides = both_sides(twin, real, chosen)
     ratios = noise_ratios(*(side.pictures() for side in sides)) if noise else []
     verdict = TwinVerdict(*sides, against or floor_of(sides[0].methods), ratios)
     lines = verdict.lines()

@@ -16,7 +16,7 @@ from novags.methods.problem import Problem, encode
 
 
 def settled(problem: Problem, config: Enhancement, pictures: Pictures) -> Enhancement:
-    """The configuration with what it leaves to the scene: the same for all pictures, in records too."""
+    """The configuration with the numbers that it takes from the whole scene; records state them too."""
     _, enhancer = enhancer_of(config)
     return config if enhancer.settled is None else enhancer.settled(problem.encoded(pictures), config)
 

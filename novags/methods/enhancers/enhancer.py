@@ -25,8 +25,8 @@ class Enhancer:
         typical: (params of several views) -> the params in their middle, for a picture that has no noisy twin.
         network: () -> the `networks.Kind` behind it, if it is a network.
         title: Its work, in a few words.
-        settled: (pictures, config) -> the config with what all pictures of a scene share, where it leaves that to the
-            scene; None: there is no such thing.
+        settled: (pictures, config) -> the config with the numbers that all pictures of a scene share, where it asks for
+            these; None: pictures share nothing.
     """
 
     config: type

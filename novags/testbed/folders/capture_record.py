@@ -20,7 +20,7 @@ from sensor_model.frame.uneven import EVEN, Uneven
 from sensor_model.isp import DEMOSAIC, Demosaic
 from sensor_model.params import Cfa, Exposure, Sensor
 
-PARTS = ("images16", "raw", "truth", "lit", "depth", "scan")  # folders that imported photographs may lack
+PARTS = ("images16", "raw", "truth", "lit", "depth", "scan")  # parts that imported photographs may lack
 LARGEST = 1e6  # in a colour matrix, whose entries are of order 1: far larger ones overflow the float32 of pictures
 
 

@@ -75,7 +75,7 @@ def plain_pictures(folder: Path) -> list[Path]:
     raise ValueError(f"{folder} holds no pictures ({', '.join(PICTURES)})")
 
 
-def lit_alone(dark: MultiviewSet) -> Twins:
+def twins_of_lit_alone(dark: MultiviewSet) -> Twins:
     """The well-lit pictures of a set that has them of the views without a dark one, and of no other."""
     files = tuple(file if i in dark.lit_alone else None for i, file in enumerate(dark.files))
     return Twins(dark.path, files, "names")

@@ -20,7 +20,7 @@ from novags.testbed.importing.published.datasets import DATASETS, Dataset, datas
 from novags.testbed.importing.published.realx3d import read_depth
 from novags.testbed.importing.raw_camera import raw_camera
 from novags.testbed.importing.stored import Codes16, is_lossy, read_stored
-from novags.testbed.importing.twins import Twins, lit_alone, twins_by_order, twins_of
+from novags.testbed.importing.twins import Twins, twins_by_order, twins_of, twins_of_lit_alone
 from novags.testbed.ledger.stage import run_stage
 from novags.testbed.stages.capturing import files_of
 from novags.testbed.stages.configs.importing import ImportConfig
@@ -115,7 +115,7 @@ def material_of(folder: Path, config: ImportConfig, console: Console) -> ImportI
         raise ValueError(f"--clean needs a dark picture of every view, and {folder} has none of {len(views.lit_alone)} "
                          "held-out views: add --split every8, which leaves these out")  # fmt: skip
     if lit is None and views.lit_alone:
-        lit = lit_alone(views)
+        lit = twins_of_lit_alone(views)
     if dataset is not None and lit is None and clean is None:
         console.note(f"import: {folder} has no lit pictures, so that there is nothing to score against (--lit)")
     return ImportInput(dark, lit, clean, dataset)

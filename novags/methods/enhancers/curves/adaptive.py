@@ -2,14 +2,14 @@
 dark codes: its quantiles at 90 and 10 %, and its mean m.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
 from torch import Tensor
 
-from novags.methods.enhancers.curves.curve import Array, through
+from novags.methods.enhancers.curves.curve import Array, mean_params, through
 from novags.methods.enhancers.rows.adaptive import AdaptiveConfig, Ap3Config, AseConfig
 from novags.methods.noise import Variance
 
@@ -34,13 +34,13 @@ def _chosen(code: Array, config: AdaptiveConfig) -> Array:
     return statistics_of(code)
 
 
-def _offset(config: AseConfig | Ap3Config, p90: float, p10: float) -> float:
+def _offset(config: AdaptiveConfig, p90: float, p10: float) -> float:
     return float(config.offset * (1 - p10 / p90) ** config.exponent)
 
 
 def _by_ase(code: Array, config: AseConfig, params: Array) -> Array:
     p90, p10, mean = params
-    if p90 == 0:  # nearly black all over: there is no scale, and its few lit pixels would become white
+    if p90 == 0:  # a nearly black picture has no scale, and a division would turn its few lit pixels white
         return code
     offset = _offset(config, p90, p10)
     return offset + (1 - offset) * (1 - np.exp(-(config.slope + config.gain * mean) * code / p90))
@@ -65,14 +65,9 @@ def ap3(dark: Tensor, config: Ap3Config, params: Array | None, noise: Variance |
     return through(_chosen, _by_ap3, dark, config, params, noise)
 
 
-def typical(params: Sequence[Array]) -> Array:
-    """`Enhancer.typical`: the mean, which the authors' form for whole scenes takes."""
-    return np.mean(params, axis=0)
-
-
 def settled(pictures: Iterable[Tensor], config: Adaptive) -> Adaptive:
     """`Enhancer.settled`: with the mean statistics of the pictures [H, W, 3], where they are wanted and not given."""
     if not config.scene_wide or config.statistics is not None:
         return config
-    p90, p10, mean = typical([statistics_of(one.detach().cpu().double().numpy()) for one in pictures]).tolist()
+    p90, p10, mean = mean_params([statistics_of(one.detach().cpu().double().numpy()) for one in pictures]).tolist()
     return replace(config, statistics=(p90, p10, mean)) if p90 > 0 else replace(config, scene_wide=False)

@@ -34,6 +34,11 @@ def through(
     return torch.from_numpy(apply(code, config, params)).to(dark), params
 
 
+def mean_params(params: Sequence[Array]) -> Array:
+    """`Enhancer.typical` of quantiles and means."""
+    return np.mean(params, axis=0)
+
+
 def geometric_mean_params(params: Sequence[Array]) -> Array:
     """`Enhancer.typical` of factors and luminances; where some pictures are black, the mean of the others."""
     lit = [each for each in params if each.all()]

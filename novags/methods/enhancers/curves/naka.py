@@ -1,7 +1,5 @@
 """The curve `naka`; see `rows/naka.py`."""
 
-from collections.abc import Sequence
-
 import numpy as np
 from torch import Tensor
 
@@ -25,8 +23,3 @@ def _by_naka(code: Array, config: NakaConfig, params: Array) -> Array:
 def naka(dark: Tensor, config: NakaConfig, params: Array | None, noise: Variance | None) -> tuple[Tensor, Array]:
     """As `Enhancer.enhance`; the parameters are the least and the largest response [2]."""
     return through(_ends, _by_naka, dark, config, params, noise)
-
-
-def typical(params: Sequence[Array]) -> Array:
-    """`Enhancer.typical`: the mean."""
-    return np.mean(params, axis=0)

@@ -12,21 +12,27 @@ SOURCE = "Adaptive tone curves (arXiv 2606.11841), of which the repository's REA
 
 @dataclass(frozen=True, kw_only=True)
 class AdaptiveConfig(EnhancerConfig):
-    """What both curves share.
+    """The settings of both curves, which lift black to o = offset (1 - p10 / p90)^exponent.
 
     Attributes:
         gain: c: how much the mean of the picture raises the curve.
+        offset: Of black, where the picture has full contrast.
+        exponent: As the README has it; the program's own default is 1.5.
         scene_wide: Take the statistics of all training pictures in the mean, which vary less from view to view.
         statistics: p90, p10 and mean luma in codes 0..1, for all pictures; None: of each picture, or of the scene.
     """
 
     gain: float
+    offset: float = 0.12
+    exponent: float = 2.5
     scene_wide: bool = False
     statistics: tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:
         if not 0 <= self.gain < math.inf:
             raise ValueError(f"gain must be >= 0 and finite, got {self.gain}")
+        if not (0 <= self.offset < 1 and 0 < self.exponent < math.inf):
+            raise ValueError(f"offset must lie in [0, 1) and exponent be > 0, got {self.offset} and {self.exponent}")
         if self.statistics is not None:
             p90, p10, mean = self.statistics
             if not (0 <= p10 <= p90 <= 1 and p90 > 0 and 0 <= mean <= 1):
@@ -36,48 +42,35 @@ class AdaptiveConfig(EnhancerConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class AseConfig(AdaptiveConfig):
-    """Adaptive SoftExp: y = o + (1 - o) (1 - exp(-(k + c m) x / p90)), o = offset (1 - p10 / p90)^exponent.
+    """Adaptive SoftExp: y = o + (1 - o) (1 - exp(-(k + c m) x / p90)).
 
     Attributes:
         gain: As published for RealX3D; 3 for LOM, 0 for views of varying exposure.
         slope: k.
-        offset: Of black, where the picture has full contrast.
-        exponent: As the README has it; the program's own default is 1.5.
     """
 
     gain: float = 4.0
     slope: float = 0.9
-    offset: float = 0.12
-    exponent: float = 2.5
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not (0 < self.slope < math.inf and 0 <= self.offset < 1 and 0 < self.exponent < math.inf):
-            raise ValueError(f"slope and exponent must be > 0 and offset in [0, 1), got {self.slope}, {self.exponent} "
-                             f"and {self.offset}")  # fmt: skip
+        if not 0 < self.slope < math.inf:
+            raise ValueError(f"slope must be > 0 and finite, got {self.slope}")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Ap3Config(AdaptiveConfig):
-    """Adaptive Poly3: y = o + (1 + c m) (.0720 t³ - .4376 t² + .9948 t), t = x / p90, o as of `AseConfig`, clipped.
+    """Adaptive Poly3: y = o + (1 + c m) (.0720 t³ - .4376 t² + .9948 t), t = x / p90, clipped.
 
     Attributes:
         gain: As published for RealX3D; 1 for LOM, 0 for views of varying exposure.
-        offset: As of `AseConfig`.
-        exponent: As of `AseConfig`.
     """
 
     gain: float = 2.0
-    offset: float = 0.12
-    exponent: float = 2.5
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not (0 <= self.offset < 1 and 0 < self.exponent < math.inf):
-            raise ValueError(f"offset must lie in [0, 1) and exponent be > 0, got {self.offset} and {self.exponent}")
 
 
-_TYPICAL, _SETTLED = (Later(f"novags.methods.enhancers.curves.adaptive:{name}") for name in ("typical", "settled"))
+_TYPICAL = Later("novags.methods.enhancers.curves.curve:mean_params")  # the authors' form for whole scenes takes it
+_SETTLED = Later("novags.methods.enhancers.curves.adaptive:settled")
 ASE = Enhancer(
     AseConfig, Later("novags.methods.enhancers.curves.adaptive:ase"), _TYPICAL, settled=_SETTLED,
     title="a saturating exponential that the picture's quantiles and mean shape (Adaptive SoftExp, 2026)",

@@ -22,7 +22,7 @@ class NakaConfig(EnhancerConfig):
 ENHANCER = Enhancer(
     NakaConfig,
     Later("novags.methods.enhancers.curves.naka:naka"),
-    Later("novags.methods.enhancers.curves.naka:typical"),
+    Later("novags.methods.enhancers.curves.curve:mean_params"),
     title="a saturating response, stretched to the picture's range (Naka and Rushton 1966)",
 )
 METHOD = by_enhancer(

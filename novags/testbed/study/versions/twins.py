@@ -27,14 +27,14 @@ from novags.testbed.metrics.differences import Estimate, Values, difference, est
 from novags.testbed.stages.scores.comparing import values_of
 from novags.testbed.study.differences import SCENE
 from novags.testbed.study.light import METHOD, SEED
-from sensor_model.files.reading import some
+from sensor_model.files.reading import meant, some
 
 SCORES = (("lit", "tone_aligned_psnr"), ("lit", "psnr"), ("lit", "ssim"), ("geometry", "abs_rel"))
 FEWEST = 3  # methods that have an order to speak of
 EXACT = 8  # methods up to which all orders are counted: 40,320
 LEVELS = (0.1, 0.5, 0.9)  # quantiles of the real light at which the noise is compared
 # Standard deviation of the estimate's logarithm between sets of pictures of one camera, which all views of a set share:
-# with smooth pictures the ratio of two sets scattered by 5 % where they are brightest.
+# the ratio of two sets of `test_twins.pictures` scattered by 5 % at the brightest level, over four pairs of seeds.
 BETWEEN_SETS = 0.04
 
 
@@ -45,10 +45,12 @@ class StudySide:
     Attributes:
         path: Its folder.
         rows: As in results.json, of one value of every axis but method, scene and seed.
+        axes: Their names.
     """
 
     path: Path
     rows: Sequence[Mapping[str, Any]]
+    axes: tuple[str, ...]
 
     @staticmethod
     def of(path: Path, where: Mapping[str, str]) -> "StudySide":
@@ -70,7 +72,7 @@ class StudySide:
             if len(values) > 1:
                 raise ValueError(f"{path} has runs of several {name} ({some(values, 6)}), and one is to be compared: "
                                  f"add --where {name}={values[0]}")  # fmt: skip
-        return StudySide(path, rows)
+        return StudySide(path, rows, tuple(table["axes"]))
 
     @cached_property
     def scores(self) -> list[dict[str, Any]]:
@@ -102,6 +104,20 @@ class StudySide:
             capture = open_run(self.path / row["folder"]).capture()
             found.setdefault(capture.path, capture)
         return [each for capture in found.values() for each in pictures_of(capture)]
+
+
+def both_sides(twin: Path, real: Path, where: Mapping[str, str]) -> tuple[StudySide, StudySide]:
+    """Both sides, with these values of the axes that they have.
+
+    Raises:
+        ValueError: As `StudySide.of`, and if no side has such an axis.
+    """
+    sides = StudySide.of(twin, where), StudySide.of(real, where)
+    axes = tuple(dict.fromkeys(name for side in sides for name in side.axes))
+    if unknown := next((name for name in where if name not in axes), None):
+        raise ValueError(f"--where {unknown}: neither study has such an axis; {meant(unknown, axes)}there are "
+                         f"{', '.join(axes)}")  # fmt: skip
+    return sides
 
 
 def floor_of(methods: Sequence[str]) -> str:

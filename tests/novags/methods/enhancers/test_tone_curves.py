@@ -221,7 +221,7 @@ def test_a_record_brings_the_curve_back(config):
         (lambda: GainConfig(target=1.0), "target must lie in"),
         (lambda: DragoConfig(bias=1.0), "bias must lie in"),
         (lambda: AseConfig(gain=-1.0), "gain must be >= 0"),
-        (lambda: AseConfig(slope=0.0), "slope and exponent must be > 0"),
+        (lambda: AseConfig(slope=0.0), "slope must be > 0"),
         (lambda: Ap3Config(offset=1.0), "offset must lie in"),
         (lambda: Ap3Config(statistics=(0.1, 0.2, 0.1)), "p10 <= p90"),
         (lambda: NakaConfig(half=0.0), "half must be > 0"),

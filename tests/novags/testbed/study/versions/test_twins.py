@@ -12,7 +12,14 @@ import torch
 from scipy.stats import spearmanr
 
 from novags.testbed.study.versions import twins
-from novags.testbed.study.versions.twins import StudySide, TwinVerdict, floor_of, noise_ratios, rank_correlation
+from novags.testbed.study.versions.twins import (
+    StudySide,
+    TwinVerdict,
+    both_sides,
+    floor_of,
+    noise_ratios,
+    rank_correlation,
+)
 from sensor_model import PRESETS, Exposure, Sensor, develop, expose, from_linear16
 
 METHODS = {"naive": 20.0, "a": 21.0, "b": 22.0, "c": 23.5}
@@ -121,6 +128,8 @@ def test_what_cannot_be_compared_is_refused(tmp_path: Path) -> None:
     )
     with pytest.raises(ValueError, match="no finished run with electrons=7"):
         StudySide.of(several, {"electrons": "7"})
+    with pytest.raises(ValueError, match="--where electron: neither study has such an axis; did you mean 'electrons'"):
+        both_sides(twin, twin, {"electron": "20"})
 
 
 def test_the_floor_of_the_scale_is_what_others_are_compared_with() -> None:
