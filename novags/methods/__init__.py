@@ -4,7 +4,7 @@ from collections import ChainMap
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
-from novags.methods.variant import Method, Variant, spelled
+from novags.methods.variant import MOST_FITS, SEVERAL, Method, Variant, spelled, spelled_out
 from sensor_model.files.reading import brief, meant
 from sensor_model.files.registry import Registry
 
@@ -31,6 +31,8 @@ METHODS: Registry[Method] = Registry(
         "gaussian-dk": "novags.methods.rivals.rows.gaussian_dk:METHOD",
         "ll-gaussian": "novags.methods.rivals.rows.ll_gaussian:METHOD",
         "raw-gs": "novags.methods.rivals.rows.raw_gs:METHOD",
+        "3dgs4ll": "novags.methods.calibrated.row:AMPLIFIED",
+        "3dgs4ll-luma": "novags.methods.calibrated.row:LUMA",
         "oracle": "novags.methods.enhanced.oracle:METHOD",
         "nerf": "novags.methods.nerf.rows.nerf:METHOD",
         "raw-nerf": "novags.methods.nerf.rows.raw_nerf:METHOD",
@@ -81,13 +83,19 @@ def chosen(name: str, more: Mapping[str, Variant] | None = None) -> Variant:
     """A method or variant by name.
 
     Args:
-        name: Of a method, of one of `VARIANTS`, or of one of `more`.
+        name: Of a method, of one of `VARIANTS`, or of one of `more`; NAME*3 for the mean of three fits.
         more: The caller's own variants.
 
     Raises:
         ValueError: If the name is unknown, or it varies a method that does not exist.
     """
     variants = ChainMap[str, Variant](dict(more or {}), VARIANTS)  # which loads the row of this name alone
+    if (several := SEVERAL.fullmatch(name)) and name not in variants and name not in METHODS:
+        one, fits = chosen(several[1], more), int(several[2])
+        if not (one.fits == 1 and 2 <= fits <= MOST_FITS):
+            raise ValueError(f"NAME*3 is the mean of three fits, of 2 to {MOST_FITS}, got {brief(repr(name), 100)}")
+        title = f"{title_of(one.method, one.title)}; the mean of {fits} fits"
+        return replace(one, name=spelled_out(name), title=title, fits=fits)
     variant = variants.get(name, Variant(name=name, method=name))
     if variant.method in variants and variant.method not in (name, *METHODS):  # a variant of a variant
         base = chosen(variant.method, {other: v for other, v in (more or {}).items() if other != name})

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 Family = Literal["ours", "bound", "2D + GS", "3DGS", "NeRF"]
 LONGEST = 100  # characters of a name, which is one of a folder too
 NAME = re.compile(rf"[A-Za-z0-9][A-Za-z0-9._+-]{{0,{LONGEST - 1}}}")
+SEVERAL = re.compile(r"(.+)(?:\*|-x)(\d+)")  # NAME*3, and NAME-x3, which is the name of its folder
+MOST_FITS = 99  # whose mean is taken: one more than the entries of challenges
 STATISTICS = "truth_statistics"  # the setting by which a method uses statistics of well-lit pictures
 
 
@@ -64,6 +66,31 @@ class Method:
     bound: Literal["floor", "ceiling"] | None = None
 
 
+def parts_of(method: Method, config: Any, fits: int) -> dict[str, int] | None:
+    """`Method.parts` of so many fits, one after another."""
+    parts = method.parts(config) if method.parts else None
+    if parts is None or fits == 1:
+        return parts
+    return {f"{part} {k + 1}": steps for k in range(fits) for part, steps in parts.items()}
+
+
+def refuse_own_frames(method: Method, config: Any, fits: int) -> None:
+    """Refuse several fits where each would have cameras, or an enhancing network, of its own.
+
+    Raises:
+        ValueError: If that is so: their pictures are of several frames, or of several enhancements, and have no mean
+            that one reference could be compared with.
+    """
+    if fits == 1:
+        return
+    if getattr(getattr(config, "fit", None), "refine_cameras", None) is not None:
+        raise ValueError(f"each of {fits} fits would refine cameras of its own, and pictures of several frames have no "
+                         "mean: leave fit.refine_cameras out, or take one fit")  # fmt: skip
+    if (method.parts(config) if method.parts else {}).get("enhancer"):
+        raise ValueError(f"each of {fits} fits would train an enhancing network of its own, and no reference could be "
+                         "compared with all: give enhance.weights, or take one fit")  # fmt: skip
+
+
 def sees_statistics(config: Any) -> bool:
     """Whether a method with this configuration, or its record, uses statistics of well-lit pictures: never a rival."""
     value = config.get(STATISTICS) if isinstance(config, Mapping) else getattr(config, STATISTICS, None)
@@ -79,12 +106,14 @@ class Variant:
         method: Name of the method.
         settings: Dotted setting -> value.
         title: Its work, in a sentence; "" for the method's own, with the settings.
+        fits: How many fits, each with random numbers of its own, are averaged by pixel.
     """
 
     name: str
     method: str
     settings: Mapping[str, Any] = field(default_factory=dict)
     title: str = ""
+    fits: int = 1
 
     def __post_init__(self) -> None:
         if not NAME.fullmatch(self.name):
@@ -107,6 +136,12 @@ class Variant:
     def decides(self, key: str) -> bool:
         """Whether the variant sets this, or switches off a part that it belongs to."""
         return any(key == name or key.startswith(f"{name}.") for name in self.settings)
+
+
+def spelled_out(name: str) -> str:
+    """NAME*3 as it is in names of folders: NAME-x3; other names unchanged."""
+    found = SEVERAL.fullmatch(name)
+    return name if found is None else f"{found[1]}-x{found[2]}"
 
 
 def spelled(settings: Mapping[str, Any]) -> str:

@@ -37,7 +37,7 @@ VIEWER_CAMERAS = [{"img_name": str, "position": Numbers(3), "rotation": Numbers(
 RUN = {
     "name": str, "method": str, "title?": str, "capture": PLACE, "effects?": [str], "space": str, "config": dict,
     "enhancement": ({"enhancer": str, "pictures": str, "config": dict}, None), "cameras?": (CAMERAS, None),
-    "seconds": {"*": float}, "along?": [int], "held_out?": [str],
+    "seconds": {"*": float}, "along?": [int], "held_out?": [str], "fits?": [dict],
     "stage": {**STAGE, "inputs": {"capture": str, "set": str}, "versions": {"*": str}, "hardware": HARDWARE},
 }  # fmt: skip
 EXPERIMENT = {"command": (str, None), "preset": dict}

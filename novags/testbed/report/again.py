@@ -4,12 +4,13 @@ import os
 import re
 import shlex
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from novags.cameras import SOURCES
 from novags.cameras.spelling import source_named
-from novags.methods import METHODS, VARIANTS, chosen
+from novags.methods import METHODS, chosen
 from novags.methods.variant import Variant
 from novags.testbed.folders.place import place_of
 from novags.testbed.folders.run import Run
@@ -78,7 +79,8 @@ def run_again(run: Run, folder: Path, name: str | None = None) -> str | None:
     if "given" in asked or "more" in run.record["stage"].get("inputs", {}):  # novags explain makes these again
         return None
     capture = os.path.relpath(place_of(run.path, run.record["capture"]), resolved(folder))
-    words = ["novags", "reconstruct", capture, *_named(run.name, run.method, _with_own_weights(run, folder, asked))]
+    wanted = _with_own_weights(run, folder, asked)
+    words = ["novags", "reconstruct", capture, *_named(run.name, run.method, wanted, asked.get("fits", 1))]
     if len(words) == 3:
         return None
     cameras = _moved(str(asked["cameras"]), "--cameras", folder)
@@ -117,14 +119,16 @@ def _with_own_weights(run: Run, folder: Path, asked: Mapping[str, Any]) -> dict[
     return {**config, "enhance": {**config["enhance"], "weights": copies}}
 
 
-def _named(name: str, method: str, wanted: Mapping[str, Any]) -> list[str]:
+def _named(name: str, method: str, wanted: Mapping[str, Any], fits: int) -> list[str]:
     """`--method` or `--variant` with what makes `wanted` of it; [] where nothing does."""
-    known = name in METHODS or name in VARIANTS
-    if known and chosen(name).method == method:
+    known = _known(name)
+    if known is not None and (known.method, known.fits) == (method, fits):
         short = {key: value for key, option in SHORT.items() if (value := _at(wanted, key)) is not None}
-        if _asked(chosen(name), short) == wanted:
+        if _asked(known, short) == wanted:
             options = [word for key, value in short.items() for word in (SHORT[key], str(value))]
             return ["--method", name, *options]
+    if fits > 1:
+        return []
     settings = _differing(_asked(Variant(name=name, method=method), {}), wanted)
     own = Variant(name=name, method=method, settings=settings)
     try:
@@ -134,6 +138,12 @@ def _named(name: str, method: str, wanted: Mapping[str, Any]) -> list[str]:
     except ValueError:  # a setting that this version does not have
         pass
     return []
+
+
+def _known(name: str) -> Variant | None:
+    with suppress(ValueError):
+        return chosen(name)
+    return None  # a variant of the caller's own
 
 
 def _asked(variant: Variant, given: Mapping[str, Any]) -> Any:

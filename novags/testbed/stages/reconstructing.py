@@ -15,7 +15,8 @@ from novags.methods.inputs import LacksInput
 from novags.methods.memo import Memo
 from novags.methods.problem import Problem, RawPictures, TrueSurface, stacked
 from novags.methods.reconstruction import Reconstruction
-from novags.methods.variant import sees_statistics
+from novags.methods.variant import parts_of, sees_statistics
+from novags.methods.variant.several import train_several
 from novags.splats.views import Views
 from novags.testbed.console.devices import chosen_device
 from novags.testbed.console.memory import available_bytes
@@ -222,7 +223,7 @@ def reconstruct_views(
     """
     variant, problem = config.variant, prepared.problem
     method = METHODS[variant.method]
-    parts = method.parts(config.config) if method.parts else None
+    parts = parts_of(method, config.config, 1)
     if parts is not None and parts.get("fit") == 0:
         console.note(f"reconstruct {variant.name}: 0 iterations of the fit: the first Gaussians (of NeRF: the first "
                      "field) untrained")  # fmt: skip
@@ -234,7 +235,7 @@ def reconstruct_views(
         compile_ahead(kernels, console.note)
     with (
         warnings_as_notes(console),
-        console.progress(f"reconstruct {variant.name}", parts) as progress,
+        console.progress(f"reconstruct {variant.name}", parts_of(method, config.config, variant.fits)) as progress,
         EventLog(folder / EVENTS) as log,
     ):
 
@@ -242,7 +243,8 @@ def reconstruct_views(
             log.add({"step": done, **losses})
             progress(done, total, losses_text(losses))
 
-        result = method.train(problem, config.config, progress=step, checkpoint=folder / CHECKPOINTS[0])
+        train = method.train if variant.fits == 1 else partial(train_several, method, fits=variant.fits)
+        result = train(problem, config.config, progress=step, checkpoint=folder / CHECKPOINTS[0])
     frame = CoordinateFrame.of(prepared.capture, prepared.indices, prepared.estimate, result.viewmats)
     facts = frame.facts()
     with console.progress(f"render {variant.name}") as progress:

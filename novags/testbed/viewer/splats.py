@@ -1,7 +1,7 @@
 """A run's scene: its Gaussians as the browser draws them, and any kind as seen from any camera of the viewer."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -14,6 +14,7 @@ from novags.methods.problem import encode
 from novags.methods.reconstruction import ReconstructedScene
 from novags.methods.rivals.denoised_scene import with_denoiser
 from novags.methods.saved import saved_gaussians
+from novags.methods.variant.several import FITS, MeanScene, places
 from novags.splats.raster.raster_torch import quat_to_rotmat
 from novags.splats.sh import sh_to_rgb
 from novags.splats.views import Views
@@ -61,11 +62,16 @@ def drawn(scene: GaussianScene, into: Similarity, gain: float | None = None) -> 
 
 
 def scene_of(run: Run) -> ReconstructedScene | None:
-    """The scene of a run as it rendered it, Gaussians or a field; None where it is of another kind.
+    """The scene of a run as it rendered it: Gaussians, a field, or several of them; None where it is of another kind.
 
     Raises:
         ValueError: If its file is damaged.
     """
+    if (fits := run.record.get(FITS)) is not None:
+        each = zip(places(run.path, len(fits)), fits, strict=True)
+        scenes = [scene_of(replace(run, path=place, record=facts)) for place, facts in each]
+        known = [scene for scene in scenes if scene is not None]
+        return MeanScene(known) if len(known) == len(fits) else None
     gaussians = gaussians_of(run)
     return load_field(run.path) if gaussians is None else with_denoiser(gaussians, run.path)
 

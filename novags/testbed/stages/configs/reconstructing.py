@@ -9,7 +9,7 @@ from novags.cameras.source import CameraConfig
 from novags.cameras.sources.known import KnownConfig
 from novags.methods import METHODS
 from novags.methods.enhancers import ENHANCERS, enhancer_of
-from novags.methods.variant import Variant
+from novags.methods.variant import Variant, refuse_own_frames
 from novags.numbers import POINTS, VIEWS, check_range
 from novags.settings import check_seed, files_among, refuse_lost_files
 from novags.testbed.ledger.code import Code, code_of, modules_of
@@ -35,10 +35,12 @@ class ReconstructConfig:
         if self.config is None:
             config = self.variant.config(METHODS[self.variant.method].config(), {})
             object.__setattr__(self, "config", config)
+        method = METHODS[self.variant.method]
+        refuse_own_frames(method, self.config, self.variant.fits)
         check_range("points", self.points, 4, POINTS)
         check_seed(self.seed)
         check_range("hold_out", self.hold_out, 0, VIEWS, " training views")
-        if METHODS[self.variant.method].sees_surface and self.cameras != KnownConfig():
+        if method.sees_surface and self.cameras != KnownConfig():
             raise ValueError(
                 f"{self.variant.name} follows the true surface and so takes the set's own cameras, got cameras = "
                 f"{spell_cameras(self.cameras)}: use known, or leave {self.variant.name} out"
@@ -60,6 +62,7 @@ class ReconstructConfig:
         return {
             "method": self.variant.method, "points": self.points, "seed": self.seed,
             "cameras": spell_cameras(self.cameras), "config": config,
+            **({"fits": self.variant.fits} if self.variant.fits > 1 else {}),
             **({"hold_out": self.hold_out} if self.hold_out else {}),
             **({"given": self.given} if self.given else {}),
         }  # fmt: skip

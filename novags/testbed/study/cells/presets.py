@@ -12,7 +12,7 @@ from novags.cameras.sources.known import KnownConfig
 from novags.methods import METHODS, chosen, with_variants
 from novags.methods.enhancers import refuse_without_weights
 from novags.methods.inputs import LacksInput
-from novags.methods.variant import Variant, read_variants
+from novags.methods.variant import Variant, read_variants, spelled_out
 from novags.settings import changed, files_among, has_setting, refuse_lost, refuse_lost_files, starting_at
 from novags.testbed.stages.configs.capturing import CaptureConfig
 from novags.testbed.stages.configs.command import CommandConfig
@@ -50,6 +50,7 @@ class Preset:
     device: str = "auto"
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "methods", tuple(map(spelled_out, self.methods)))
         if not self.methods or len(set(self.methods)) < len(self.methods):
             raise ValueError(f"methods must be named once each, got {', '.join(self.methods) or 'none'}")
         own = [name for name in self.methods if self.command(name) is None]

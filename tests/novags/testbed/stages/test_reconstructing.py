@@ -12,13 +12,17 @@ import pytest
 import torch
 
 from novags.methods.enhancers.networks.zero_dce import ZeroDce
+from novags.methods.variant.several import MeanScene
 from novags.testbed import stages
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import open_capture
-from novags.testbed.folders.run import place_along
+from novags.testbed.folders.run import Run, place_along
+from novags.testbed.report.again import run_again
 from novags.testbed.stages import reconstructing
 from novags.testbed.stages.configs import reconstructing as module
 from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
+from novags.testbed.viewer.splats import scene_of
+from simscenes.sets.pictures.exr import read_exr
 
 QUIET = Console(quiet=True)
 
@@ -158,3 +162,34 @@ def test_a_part_that_is_too_short_to_work_is_said_before_it_begins(
     told = f"reconstruct nova-fast: {steps} steps of denoiser are too few to work, of at least 64"
     assert (told in stream.getvalue()) == said
     assert "steps of fit are too few" not in stream.getvalue()
+
+
+def test_a_run_of_several_fits_is_kept_shown_and_made_again(capture: Path, tmp_path: Path) -> None:
+    """By the stage, as a user does: the identity has the number of fits, and the viewer reads the mean back."""
+    preset = replace(adapted(EXPERIMENTS["demo"], methods=("naive", "naive*2")), points=60)
+    preset = replace(preset, settings={**preset.settings, "fit.iterations": 30})
+    said = io.StringIO()
+    records = {}
+    for name in preset.methods:
+        config = preset.reconstruct(name)
+        records[name] = stages.reconstruct(capture, tmp_path / name, config, Console(stream=said))
+    one, two = (records[name] for name in preset.methods)
+    assert one["stage"]["key"] != two["stage"]["key"]
+    assert (two["name"], two["method"], len(two["fits"])) == ("naive-x2", "naive", 2)
+    assert two["gaussians"] == sum(facts["gaussians"] for facts in two["fits"])
+    assert not (tmp_path / "naive-x2" / "checkpoints").exists()
+    run = Run(tmp_path / "naive-x2", two)
+    scene = scene_of(run)
+    assert isinstance(scene, MeanScene)
+    assert len(scene.scenes) == 2
+    cut = [place.name for place in (tmp_path / "naive-x2" / "scene").iterdir()]
+    assert sorted(cut) == ["fit-1", "fit-2"]
+    first = (tmp_path / "naive" / "point_cloud.ply").read_bytes()
+    assert (tmp_path / "naive-x2" / "scene" / "fit-1" / "point_cloud.ply").read_bytes() == first
+    mean, single = (read_exr(tmp_path / name / "exr" / "0000.exr")[0]["R"] for name in preset.methods[::-1])
+    assert np.abs(mean - single).max() > 0
+    again = run_again(run, tmp_path)
+    assert again is not None
+    assert "--method naive-x2 --iterations 30" in again
+    (tmp_path / "naive-x2" / "scene" / "fit-2" / "point_cloud.ply").unlink()
+    assert scene_of(run) is None  # the mean of the fits that are left would be another scene
