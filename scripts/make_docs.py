@@ -138,7 +138,7 @@ def hard_cases() -> bool:
 
 
 def with_curves(page: str) -> str:
-    """A page with the defaults of the curves that novags ships; all their settings go to tables."""
+    """A page with the sizes of the curves that novags ships; their settings go to tables."""
     sys.path[:0] = [str(ROOT), str(ROOT / "scripts" / "choices")]
     from tables import write_csv
 

@@ -82,7 +82,7 @@ def run(
         curves: With a budget: folder of the curves of `novags pareto METHOD`; if not given, the curves of this machine
             in out/pareto, for other methods the curves that came with novags.
         out: Folder of the experiment; if not given, out/PRESET, with scene, electrons and budget where they are given.
-        methods: Methods and variants to compare; `novags list methods` names them.
+        methods: Methods and variants to compare; `novags list methods` names them. NAME*3 is the mean of three fits.
         variant: A method with settings changed, NAME=METHOD:SETTING=VALUE,SETTING=VALUE, compared as well; may be given
             several times. Or a TOML file with tables [variant.NAME], of which --methods may name some.
         cameras: Where cameras come from: known, known:rotation_deg=1, sfm, dust3r:checkpoint=FILE; see `novags help

@@ -16,7 +16,7 @@ def test_the_page_shows_what_is_shipped() -> None:
     page, points = PAGE.read_text(encoding="utf-8"), read_curves(SHIPPED)
     assert embedded(page, points) == page
     (first, *_) = (point for point in points if point["default"])
-    assert embedded(page, [{**first, "error": 0.123}]) != page
+    assert embedded(page, [{**first, "repeats": 77}]) != page
 
 
 def test_the_tables_of_all_settings_are_those_that_are_shipped() -> None:

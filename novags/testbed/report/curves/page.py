@@ -1,10 +1,10 @@
-"""What a measured subject leaves in its folder: lines of JSON, a figure, tables; and defaults in a page."""
+"""What a measured subject leaves in its folder: lines of JSON, a figure, tables; and its sizes in a page."""
 
 from collections.abc import Sequence
 from pathlib import Path
 
 from novags.testbed.report.curves.figure import figure
-from novags.testbed.report.curves.table import defaults, heading, tables
+from novags.testbed.report.curves.table import heading, tables
 from novags.testbed.study.curves.curve import CURVES, Point, Row, curves, write_curves
 from novags.testbed.study.knobs.knob import Subject
 from sensor_model.files.atomic import write_text
@@ -32,16 +32,16 @@ def written(name: str, folder: Path) -> list[Path]:
 
 
 def marks(name: str) -> tuple[str, str]:
-    """The two lines of a page between which the defaults of a subject stand."""
+    """The two lines of a page between which the sizes of a subject's measurements stand."""
     return f"<!-- curves: {name} -->", "<!-- end of curves -->"
 
 
 def embedded(page: str, points: list[Point]) -> str:
-    """A page with the defaults of these points between the marks of their subjects; other parts do not change."""
+    """A page that says how these points were measured, between the marks of their subjects."""
     for name in dict.fromkeys(point["knob"].partition(".")[0] for point in points):
         begin, end = marks(name)
         head, found, rest = page.partition(begin)
         if found and end in rest:
             own = [point for point in points if point["knob"].startswith(f"{name}.")]
-            page = f"{head}{begin}\n\n{heading(own)}\n\n{defaults(own)}\n\n{end}{rest.partition(end)[2]}"
+            page = f"{head}{begin}\n\n{heading(own)}\n\n{end}{rest.partition(end)[2]}"
     return page

@@ -1,4 +1,4 @@
-"""Curves as Markdown: a table a knob, and a sentence on its default; of all knobs, one table of their defaults."""
+"""Curves as tables: one for each knob, with a sentence on its default, or one of all knobs."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -31,18 +31,6 @@ def _table(knob: str, points: Sequence[Point]) -> str:
         ]  # fmt: skip
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join([*lines, "", said(points), ""])
-
-
-def defaults(points: Sequence[Point]) -> str:
-    """The defaults of all knobs of some curves in one table, Markdown."""
-    units = {point["error_unit"].replace("|", r"\|") for point in points}
-    head = f"error ({units.pop()})" if len(units) == 1 else "error"  # one of many units stands with its number
-    lines = [f"| knob | default | processor s | {head} | on the front |", "|---|---|---|---|---|"]
-    for knob, setting, default, seconds, _, error, unit, _, front, _ in joined(points)[1:]:
-        if default:
-            own = f" ({unit})".replace("|", r"\|") if head == "error" else ""
-            lines.append(f"| {knob.partition('.')[2]} | {setting} | {seconds} | {error}{own} | {front} |")
-    return "\n".join(lines)
 
 
 def joined(points: Sequence[Point]) -> list[list[str]]:
