@@ -1,7 +1,7 @@
 """The published data sets, one row each, and which of them a folder is of.
 
-A scene is a folder. LOM is known by the content of its scenes, and so is RealX3D where it has the lit twins. The others
-look like many folders, so that a folder above has to bear the name of the data set, in upper or lower case.
+A scene is a folder. LOM is known by the content of its scenes, RealX3D by numbers or lit twins of its pictures. The
+others look like many folders, so that a folder above has to bear the name of the data set, in upper or lower case.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -79,7 +79,7 @@ _ROWS = (
         name="RealX3D", home="https://huggingface.co/datasets/ToferFish/RealX3D",
         layout="train/ (dark), val/ (lit, the same names), test/ (lit), sparse/0, transforms_train.json, "
                "transforms_test.json; pointclouds/SCENE of the same release above", named=True,
-        fits=realx3d.is_scene, open_scene=realx3d.open_scene, lit=realx3d.lit, proves=realx3d.is_paired,
+        fits=realx3d.is_scene, open_scene=realx3d.open_scene, lit=realx3d.lit, proves=realx3d.is_proved,
         scene_name=realx3d.scene_name, beside=realx3d.beside,
     ),
 )  # fmt: skip

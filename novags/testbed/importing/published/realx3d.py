@@ -83,18 +83,23 @@ def is_scene(folder: Path) -> bool:
     return (folder / TRAIN).is_file() and (folder / DARK).is_dir()
 
 
-def is_paired(folder: Path) -> bool:
-    """Whether its pictures for training and for validation bear the same names, and its camera files are from the tool
-    that all scenes were made with: no other layout has both.
+def is_proved(folder: Path) -> bool:
+    """Whether its camera files are from the tool that all scenes were made with, and its lit pictures are twins of the
+    dark ones by name, or go on with their numbers: no other layout has both.
     """
-    names = [{file.name for file in sorted_pictures(folder / part)} for part in (DARK, LIT)]
-    if not names[0] or names[0] != names[1]:
-        return False
     try:
-        frames = json.loads(read_bytes(folder / TRAIN))["frames"]
-        return all("sharpness" in frame for frame in frames)
+        found = [json.loads(read_bytes(folder / name))["frames"] for name in (TRAIN, TEST) if (folder / name).is_file()]
+        frames = [frame for part in found for frame in part]
+        if not all("sharpness" in frame for frame in frames):
+            return False
+        named = {frame["file_path"] for frame in frames}
     except (ValueError, TypeError, KeyError):  # damaged, or something else: told when it is opened
         return False
+    parts = [DARK] * len(found[0]) + ["test"] * (len(frames) - len(found[0]))
+    if len(found) == 2 and named == {f"{part}/{k:04d}.JPG" for k, part in enumerate(parts, 1)}:
+        return True
+    dark, lit = ({file.name for file in sorted_pictures(folder / part)} for part in (DARK, LIT))
+    return bool(dark) and dark == lit
 
 
 def scene_name(folder: Path) -> str:

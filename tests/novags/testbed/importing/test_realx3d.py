@@ -197,6 +197,26 @@ def test_it_is_known_by_its_content_or_by_the_name_above_and_scenes_by_their_con
     assert dataset_of(other).name == "RealX3D"
 
 
+def test_a_scene_of_the_challenge_is_known_by_its_numbers(tmp_path: Path) -> None:
+    """As the eight scenes of the low-light track have them: no lit twins, test/ goes on with the numbers of train/."""
+
+    def told(numbers: range, test: range, **more: Any) -> Any:
+        folder = tmp_path / "Cupcake"
+        (folder / "train").mkdir(parents=True, exist_ok=True)
+        for part, own in (("train", numbers), ("test", test)):
+            frames = [{"file_path": f"{part}/{k:04d}.JPG", "sharpness": 9.0, **more} for k in own]
+            (folder / f"transforms_{part}.json").write_text(json.dumps({"frames": frames}))
+        return dataset_of(folder)
+
+    assert told(range(1, 31), range(31, 37)).name == "RealX3D"
+    assert told(range(1, 31), range(1, 7)) is None
+    assert told(range(31), range(31, 37)) is None
+    assert told(range(1, 31), range(31, 37), file_path="train/0001.JPG") is None
+    (tmp_path / "Cupcake" / "transforms_train.json").write_text('{"frames": [{"file_path": "train/0001.JPG"}]}')
+    (tmp_path / "Cupcake" / "transforms_test.json").write_text('{"frames": [{"file_path": "test/0002.JPG"}]}')
+    assert dataset_of(tmp_path / "Cupcake") is None  # not of that tool
+
+
 def test_a_scene_that_is_not_known_is_not_trained_on_dark_and_lit_pictures_without_a_word(tmp_path: Path) -> None:
     folder, stream = realx3d(tmp_path / "x"), io.StringIO()
     for part in ("val", "sparse"):
