@@ -1,12 +1,15 @@
-"""Settings of 3DGS4LL's two branches."""
+"""Settings of 3DGS4LL: of both branches, and of the first."""
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from novags.methods.enhanced.config import ORIGINAL_FIT, ORIGINAL_SCALE
-from novags.methods.enhancers.networks.rows.retinexformer import RetinexformerConfig
 from novags.methods.inputs import Pictures
+from novags.methods.memory import Memory
 from novags.splats.training.config import FitConfig
+
+SOURCE = "3DGS4LL (2nd place of the NTIRE 2026 low-light 3D challenge), of which the repository tells the constants"
+MEMORY = Memory(fixed=0.6e9, pictures=3.0, work=150.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,16 +61,3 @@ class AmplifiedConfig(CalibratedConfig):
             raise ValueError(f"blur must be >= 0 px, got {self.blur}")
         if not (0 <= self.dark_weight <= 1 and 0 <= self.growing <= 1):
             raise ValueError(f"dark_weight and growing must lie in 0..1, got {self.dark_weight} and {self.growing}")
-
-
-@dataclass(frozen=True, kw_only=True)
-class LumaConfig(CalibratedConfig):
-    """Branch 3: colours of the camera's model, details of an enhancing network.
-
-    Attributes:
-        enhance: The network that the details are from.
-        detail: How much of them, as published.
-    """
-
-    enhance: RetinexformerConfig = field(default_factory=RetinexformerConfig)
-    detail: float = 2.0

@@ -1,11 +1,10 @@
 """3DGS4LL: a lit scene of Gaussians from dark pictures, by a camera model that one lit scene has calibrated.
 
-Branch 1:   target = blur(clip(K code^(1 / gamma) balance)),    loss = (1 - a) photometric(render, target)
-            + a photometric(to_dark(render), code),    a grows from 0 to 1/2
-Branch 3:   luma = mean9(m) + 2 (r - mean9(r)),    chroma of m,    m = to_lit(K code^(1 / gamma)), r = Retinexformer's
+    target = blur(clip(K code^(1 / gamma) balance)),    loss = (1 - a) photometric(render, target)
+             + a photometric(to_dark(render), code),    a grows from 0 to 1/2
 
-photometric is (1 - w) L1 + w (1 - SSIM) of 3DGS. All scores of the challenge are absolute, and a model that knows the
-camera's colours wins them: it saw a scene in good light, which no rival here does.
+That is its first branch; the third is in `luma.py`. photometric is (1 - w) L1 + w (1 - SSIM) of 3DGS. All scores of the
+challenge are absolute, and a model that knows the camera's colours wins them: it saw a scene in good light.
 
 Differences from the publication: 100,000 random first points are those of the camera source, as for all methods, and
 3DGS-MCMC grows the scene. Its training may learn a dark curve of each picture in the place of the calibrated one; here
@@ -17,13 +16,11 @@ import time
 from collections.abc import Iterable
 from pathlib import Path
 
-import torch
 from torch import Tensor
 
-from novags.methods.calibrated.camera_model import CameraModel, amplified, mean_of_nine, read_calibration, smoothed
-from novags.methods.calibrated.config import AmplifiedConfig, CalibratedConfig, LumaConfig
+from novags.methods.calibrated.camera_model import CameraModel, amplified, read_calibration, smoothed
+from novags.methods.calibrated.config import AmplifiedConfig, CalibratedConfig
 from novags.methods.enhanced.gaussian_fit import fit_for, reconstructed
-from novags.methods.enhancers import network_of
 from novags.methods.gaussian_scene import GaussianScene
 from novags.methods.problem import Problem, gathered
 from novags.methods.reconstruction import Progress, Reconstruction
@@ -31,8 +28,6 @@ from novags.methods.start import start_gaussians
 from novags.splats.training.fit import fit
 from novags.splats.training.losses import photometric_loss
 from novags.splats.training.step import Step
-
-TO_YCBCR = ((0.299, 0.587, 0.114), (-0.168736, -0.331264, 0.5), (0.5, -0.418688, -0.081312))  # ITU-R BT.601
 
 
 class DarkLoss:
@@ -68,55 +63,22 @@ def amplified_targets(dark: Tensor, config: AmplifiedConfig) -> Tensor:
     return gathered(each, dark)
 
 
-def luma_targets(dark: Tensor, config: LumaConfig) -> Tensor:
-    """The pseudo-targets of branch 3 [C, H, W, 3], of dark codes.
-
-    Raises:
-        LacksInput: If the weights of the network are not given.
-    """
-    known, kind = read_calibration(config.calibration), network_of(config.enhance)
-    assert kind is not None
-    network = kind.load(config.enhance)
-    rows = dark.new_tensor(TO_YCBCR)
-    back = torch.linalg.inv(rows.double()).to(dark)
-
-    def target(view: Tensor) -> Tensor:
-        shown = known.to_lit(known.amplified(view)) @ rows.T
-        detail = (kind.picture(network, view, config.enhance)[0] @ rows.T)[..., :1]
-        luma = mean_of_nine(shown[..., :1]) + config.detail * (detail - mean_of_nine(detail))
-        return (torch.cat([luma, shown[..., 1:]], -1) @ back.T).clamp(0, 1)
-
-    return gathered(map(target, dark), dark)
-
-
-def train_amplified(
+def train(
     problem: Problem, config: AmplifiedConfig, *, progress: Progress | None = None, checkpoint: Path | None = None
 ) -> Reconstruction:
-    """Branch 1; see `Method.train`. The reconstruction's colours are lit ones."""
+    """Reconstruct a lit scene from dark pictures; see `Method.train`."""
     started = time.perf_counter()
     dark = problem.encoded(config.pictures)
     targets = amplified_targets(dark, config)
     loss = DarkLoss(read_calibration(config.calibration).to_dark, dark, config)
-    return _fitted(problem, config, dark, targets, loss, started, progress, checkpoint)
+    return fitted(problem, config, dark, targets, loss, started, progress, checkpoint)
 
 
-def train_luma(
-    problem: Problem, config: LumaConfig, *, progress: Progress | None = None, checkpoint: Path | None = None
-) -> Reconstruction:
-    """Branch 3; see `Method.train`. The reconstruction's colours are lit ones.
-
-    Raises:
-        LacksInput: If the weights of the network are not given.
-    """
-    started = time.perf_counter()
-    dark = problem.encoded(config.pictures)
-    return _fitted(problem, config, dark, luma_targets(dark, config), None, started, progress, checkpoint)
-
-
-def _fitted(
+def fitted(
     problem: Problem, config: CalibratedConfig, dark: Tensor, targets: Tensor, loss: DarkLoss | None, started: float,
     progress: Progress | None, checkpoint: Path | None,
 ) -> Reconstruction:  # fmt: skip
+    """Gaussians of lit colours, fitted to targets [C, H, W, 3], by a loss of their own or the loss of 3DGS."""
     config = dataclasses.replace(config, fit=fit_for(problem, config.fit))
     start = start_gaussians(problem.start, dark, targets, sh_degree=config.fit.sh_degree, init_scale=config.init_scale)
     result = fit(

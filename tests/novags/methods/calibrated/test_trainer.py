@@ -12,10 +12,12 @@ import torch
 from scipy.ndimage import gaussian_filter, uniform_filter
 from torch import Tensor
 
-from novags.methods.calibrated import trainer
+from novags.methods.calibrated import luma, trainer
 from novags.methods.calibrated.camera_model import CameraModel, read_calibration
-from novags.methods.calibrated.config import AmplifiedConfig, LumaConfig
-from novags.methods.calibrated.trainer import DarkLoss, amplified_targets, luma_targets, train_amplified, train_luma
+from novags.methods.calibrated.config import AmplifiedConfig
+from novags.methods.calibrated.luma import luma_targets
+from novags.methods.calibrated.luma_row import LumaConfig
+from novags.methods.calibrated.trainer import DarkLoss, amplified_targets
 from novags.methods.enhancers.networks.retinexformer import Retinexformer
 from novags.methods.enhancers.networks.rows.retinexformer import RetinexformerConfig
 from novags.methods.inputs import LacksInput
@@ -105,7 +107,7 @@ def test_a_fit_ends_between_its_targets_and_what_the_dark_pictures_say(
     means = {}
     for weight in (0.0, 0.5, 1.0):
         config = dataclasses.replace(AMPLIFIED, fit=quick, dark_weight=weight, growing=0.0)
-        result = train_amplified(inputs, config)
+        result = trainer.train(inputs, config)
         assert result.space == "lit"
         means[weight] = float(result.render(inputs.views)[0][inside].mean() / inputs.srgb8[inside].mean())
     assert means[0.0] == pytest.approx(2.0, rel=0.06)
@@ -120,10 +122,10 @@ def test_an_interrupted_fit_ends_as_if_it_had_not_been(problem: Callable[..., Pr
         if done >= 30:
             raise KeyboardInterrupt
 
-    whole = train_amplified(inputs, AMPLIFIED)
+    whole = trainer.train(inputs, AMPLIFIED)
     with pytest.raises(KeyboardInterrupt):
-        train_amplified(inputs, AMPLIFIED, progress=stopped, checkpoint=path)
-    found = train_amplified(inputs, AMPLIFIED, checkpoint=path)
+        trainer.train(inputs, AMPLIFIED, progress=stopped, checkpoint=path)
+    found = trainer.train(inputs, AMPLIFIED, checkpoint=path)
     assert torch.equal(found.render(inputs.views)[0], whole.render(inputs.views)[0])
     assert found.found["calibrated_on"]["lit"].startswith("tabletop")
     assert torch.equal(found.targets, amplified_targets(inputs.srgb8, AMPLIFIED))
@@ -134,9 +136,9 @@ def test_the_second_branch_fits_its_targets_and_says_whose_weights_it_lacks(
 ) -> None:
     inputs = problem()
     with pytest.raises(LacksInput, match="Retinexformer"):
-        train_luma(inputs, LumaConfig(fit=SHORT))
+        luma.train(inputs, LumaConfig(fit=SHORT))
     config = LumaConfig(fit=SHORT, init_scale=0.7, enhance=RetinexformerConfig(weights=(weights,)))
-    result = train_luma(inputs, config)
+    result = luma.train(inputs, config)
     assert result.space == "lit"
     assert result.targets is not None
     assert torch.equal(result.targets, luma_targets(inputs.srgb8, config))
