@@ -8,7 +8,8 @@ differences`); a star marks those whose 95 % interval leaves 0 out. Runs that ar
 `--stops` is the same study with `hold_out`: its fits say after which length a method would stop itself, and the score
 there is of the fit with all views. `--kept` is a CSV of single scores: fits of the folder are added to it, and the
 tables are of all its fits, so that a study of many hours can be made in parts. The page has the tables between
-<!-- table: NAME --> and <!-- /table -->, NAME being the folder's, and NAME-along, NAME-scenes, NAME-stops.
+<!-- table: NAME --> and <!-- /table -->, NAME being the folder's, and NAME-along, NAME-scenes, NAME-stops; of a study
+whose fits are scored at their ends alone the first.
 """
 
 import argparse
@@ -231,6 +232,8 @@ def main() -> None:
     name, than = options.folder.name, options.than
     made = f"{len(fits)} runs" if options.kept else f"{len(fits)} of {runs} runs"
     write_table(options.page, name, f"{made}.\n\n" + at_the_end(fits, than))
+    if not any(at for fit in fits for at in fit.scores):  # scored at their ends alone
+        return
     write_table(options.page, f"{name}-along", along(fits, than))
     write_table(options.page, f"{name}-scenes", by_scene(fits, than))
     write_table(options.page, f"{name}-stops", three_lengths(fits, holding))
