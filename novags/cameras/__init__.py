@@ -13,6 +13,7 @@ SOURCES: Registry[CameraSource] = Registry({
     "mast3r": "novags.cameras.sources.mast3r:SOURCE",
     "vggsfm": "novags.cameras.sources.vggsfm:SOURCE",
     "da3": "novags.cameras.sources.da3:SOURCE",
+    "map-anything": "novags.cameras.sources.map_anything:SOURCE",
 }, "novags.cameras", CameraSource)  # fmt: skip
 
 

@@ -1,5 +1,6 @@
 """Cameras and first points, from whichever source a configuration belongs to."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -29,7 +30,8 @@ def estimate_cameras(
 
     Args:
         config: Of one of `SOURCES`.
-        multiview: The set. `known` takes cameras and depth from it, `sfm` and `hloc` intrinsics, networks nothing.
+        multiview: The set. `known` takes cameras and depth from it, `sfm` and `hloc` intrinsics, networks what their
+            setting `known` says.
         indices: The requested views.
         dark: [C, h, w, 3] their dark images, 0..1; points take their colours from these.
         pictures: [C, h, w, 3] uint8, the pictures that `config.looks_at` names, for all sources but `known`. None:
@@ -52,6 +54,10 @@ def estimate_cameras(
         pictures = (dark.detach().cpu() * 255).round().to(torch.uint8).numpy()
     if source.takes == "pictures":
         return source.estimate(pictures, dark, **how, device=device)
+    if source.takes == "pictures and cameras":
+        rig = multiview.rig
+        cameras = replace(rig, viewmats=rig.viewmats[indices], Ks=rig.Ks[indices])
+        return source.estimate(pictures, cameras, dark, **how, device=device)
     if source.takes == "numbered pictures and lenses":
         how["indices"] = tuple(indices)
     return source.estimate(pictures, multiview.rig.Ks[indices], dark, **how, progress=progress)

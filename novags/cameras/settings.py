@@ -1,25 +1,30 @@
 """Settings that sources of cameras share, and checks that refuse bad ones."""
 
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 from novags.numbers import check_range
 
 Pictures = Literal["raw", "enhanced", "denoised"]
 Mapper = Literal["incremental", "global"]
+Known = Literal["nothing", "lenses", "cameras"]  # what a network is told of the set's cameras
 FEATURES = 10**6  # of a picture, at most
 THREADS = 4096  # at most
 
 
+def check_one_of(what: str, value: str, kinds: Any) -> None:
+    """Raise a ValueError if `value` is not among the values of the Literal `kinds`."""
+    if value not in get_args(kinds):
+        raise ValueError(f"{what} must be one of {', '.join(get_args(kinds))}, got {value!r}")
+
+
 def check_kind(source: str, kind: str) -> None:
     """Raise a ValueError if `kind` does not name pictures."""
-    if kind not in get_args(Pictures):
-        raise ValueError(f"pictures of {source} must be one of {', '.join(get_args(Pictures))}, got {kind!r}")
+    check_one_of(f"pictures of {source}", kind, Pictures)
 
 
 def check_mapping(source: str, mapper: str, min_matches: int, max_error: float, threads: int) -> None:
     """Raise a ValueError if a setting that `sfm` and `hloc` share does not fit."""
-    if mapper not in get_args(Mapper):
-        raise ValueError(f"mapper of {source} must be one of {', '.join(get_args(Mapper))}, got {mapper!r}")
+    check_one_of(f"mapper of {source}", mapper, Mapper)
     if min_matches < 8:
         raise ValueError(
             f"{source} needs min_matches >= 8, because fewer do not fix a pair of cameras; got {min_matches}"

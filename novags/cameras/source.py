@@ -35,11 +35,12 @@ class CameraSource:
         estimate: Makes cameras and points of the input named by `takes` and the dark images; its other arguments are
             n_points, config, seed, and a progress or a device.
         takes: Its input: the whole set; the pictures with their intrinsics, "numbered" with `indices` too, their places
-            among all views of the set, for cameras that are known by the order of the pictures; or the pictures alone.
+            among all views of the set, for cameras that are known by the order of the pictures; with the set's cameras,
+            for networks that can be told of them; or the pictures alone.
     """
 
     description: str
     config: type[CameraConfig]
     check: Callable[[Any], None]
     estimate: Callable[..., "CameraEstimate"]
-    takes: Literal["set", "numbered pictures and lenses", "pictures and lenses", "pictures"]
+    takes: Literal["set", "numbered pictures and lenses", "pictures and lenses", "pictures and cameras", "pictures"]

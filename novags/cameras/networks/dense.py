@@ -13,11 +13,11 @@ from PIL import Image
 from torch import Tensor
 
 from novags.cameras.estimate import Array, CameraEstimate, as_estimate
-from novags.cameras.points import averaged, inside, project, subset, unproject
+from novags.cameras.points import averaged, project, subset
 
 Index = NDArray[np.intp]
 LARGEST_MISS = 2.0  # px of a prepared picture, twice the effect of conventions of half a pixel and of rounding
-HEADS_MISS = 10.0  # the same for points of another part of the network, which is as right as the network is
+MEAN, DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # of ImageNet
 UNSOUND = "check the weights, or run it with --device cpu"  # what to do about a network that computes nonsense
 
 
@@ -50,6 +50,13 @@ class Window:
         result[:, :2] /= self.scale[:, None]
         return result
 
+    def prepared_Ks(self, Ks: Array) -> Array:
+        """Intrinsics [C, 3, 3] of the original pictures -> intrinsics of the prepared ones."""
+        result = np.array(Ks, np.float64)
+        result[:, :2] *= self.scale[:, None]
+        result[:, :2, 2] -= self.offset
+        return result
+
 
 def prepare(
     pictures: NDArray[np.uint8], scaled: tuple[int, int], kept: tuple[int, int], offset: tuple[int, int], resample: int
@@ -71,6 +78,12 @@ def prepare(
     scale = np.array(scaled) / [pictures.shape[2], pictures.shape[1]]
     prepared = torch.from_numpy(np.stack(images)).movedim(-1, 1).float() / 255
     return prepared, Window(scale, np.array(offset, np.float64), width, height)
+
+
+def normalised(values: Tensor) -> Tensor:
+    """Pictures [C, 3, H, W] in 0..1, minus the mean and over the deviation of ImageNet."""
+    mean, deviation = (values.new_tensor(each)[:, None, None] for each in (MEAN, DEVIATION))
+    return (values - mean) / deviation
 
 
 def as_matrices(rotations: Array, translations: Array) -> Array:
@@ -123,9 +136,8 @@ def choose(source: str, confidence: Array, usable: NDArray[Any], drop_percent: f
 
 
 def from_pixels(
-    source: str, chosen: Index, points: Array, viewmats: Array, Ks: Array, window: Window, colors_from: Tensor,
-    other_points: Array | None = None,
-) -> CameraEstimate:  # fmt: skip
+    source: str, chosen: Index, points: Array, viewmats: Array, Ks: Array, window: Window, colors_from: Tensor
+) -> CameraEstimate:
     """The estimate of a network that places every view and the point behind every pixel.
 
     Args:
@@ -136,27 +148,15 @@ def from_pixels(
         Ks: [C, 3, 3], of the prepared pictures.
         window: Which part of the pictures those are.
         colors_from: [C, h, w, 3] dark images, 0..1.
-        other_points: Where another part of the network sees the same pixels [P, 3]. Needed where `points` were made
-            with these cameras, which then see them at their pixels for any cameras; None: `points`.
 
     Raises:
-        ValueError: If cameras are not finite, or if points are not seen at their pixels: then this version of the
-            package has other conventions, and its cameras would be silently wrong.
+        ValueError: If cameras are not finite, or if points are not seen at their pixels.
     """
-    if not (np.isfinite(viewmats).all() and np.isfinite(Ks).all()):
-        raise ValueError(f"{source} returned cameras that are not finite: {UNSOUND}")
+    refuse_elsewhere(source, chosen, points, viewmats, Ks, LARGEST_MISS)
     view, row, column = chosen.T
-    pixels = np.stack([column, row], -1) + 0.5
-    largest = LARGEST_MISS if other_points is None else HEADS_MISS
-    miss = _miss(points if other_points is None else other_points, pixels, view, viewmats, Ks)
-    if not miss <= largest:
-        raise ValueError(
-            f"{source} returned points that its own cameras see {miss:.3g} px from their pixels (median, at most "
-            f"{largest:g}): this version of the package has other conventions than novags.cameras.networks"
-        )
     # The same place in the original pictures; at their very edge, rounding may end just outside.
     sizes = np.array(colors_from.shape[2:0:-1])
-    x, y = np.minimum(window.original(pixels).astype(int), sizes - 1).T
+    x, y = np.minimum(window.original(np.stack([column, row], -1) + 0.5).astype(int), sizes - 1).T
     colors = colors_from.detach().cpu().double().numpy()[view, y, x]
     return as_estimate(
         tuple(range(len(viewmats))), viewmats, window.original_Ks(Ks), points, averaged(points, colors),
@@ -164,44 +164,29 @@ def from_pixels(
     )  # fmt: skip
 
 
-def refuse_other_conventions(source: str, chosen: Index, depths: Array, viewmats: Array, Ks: Array) -> None:
-    """Refuse cameras with which the depths of neighbouring views contradict each other, and not by other conventions.
-
-    For networks without points of their own, whose points are seen at their pixels with any cameras.
+def refuse_elsewhere(source: str, chosen: Index, points: Array, viewmats: Array, Ks: Array, largest: float) -> None:
+    """Refuse cameras that are not finite or do not see points at their pixels.
 
     Args:
         source: The camera source, for messages.
-        chosen: View, row and column [P, 3] of some pixels.
-        depths: Z-depths of all views [C, H, W].
-        viewmats: [C, 4, 4].
+        chosen: View, row and column [P, 3] of the points' pixels.
+        points: [P, 3].
+        viewmats: [C, 4, 4], in the same frame.
         Ks: [C, 3, 3].
+        largest: Distance from the pixels that is allowed, px (median).
 
     Raises:
-        ValueError: If depths differ half as much with the inverse cameras, or with the other signs of y and z.
+        ValueError: If so: then this version of the package has other conventions, and its cameras would be silently
+            wrong.
     """
-    own = _depths_apart(chosen, depths, viewmats, Ks)
-    others = (inverted(viewmats), np.diag([1.0, -1, -1, 1]) @ viewmats)
-    if min(_depths_apart(chosen, depths, other, Ks) for other in others) < own / 2:
+    if not (np.isfinite(viewmats).all() and np.isfinite(Ks).all()):
+        raise ValueError(f"{source} returned cameras that are not finite: {UNSOUND}")
+    miss = _miss(points, chosen[:, :0:-1] + 0.5, chosen[:, 0], viewmats, Ks)
+    if not miss <= largest:
         raise ValueError(
-            f"{source} returned cameras with which depths of neighbouring views differ by {own:.1%} (median), and by "
-            "less than half of that if they were camera-to-world or had OpenGL's axes: this version of the package has "
-            "other conventions than novags.cameras.networks"
+            f"{source} returned points that its own cameras see {miss:.3g} px from their pixels (median, at most "
+            f"{largest:g}): this version of the package has other conventions than novags.cameras.networks"
         )
-
-
-def _depths_apart(chosen: Index, depths: Array, viewmats: Array, Ks: Array) -> float:
-    """Median of |ln| of the depth of a pixel, seen from the next view, over the depth there; inf where none is seen."""
-    count, height, width = depths.shape
-    off = [np.full(1, np.inf)]
-    for i in range(count):
-        view, y, x = chosen[chosen[:, 0] == i].T
-        points = unproject(np.stack([x, y], -1) + 0.5, depths[view, y, x], viewmats[view], Ks[view])
-        other = (i + 1) % count
-        seen, depth = project(points, viewmats[other], Ks[other])
-        there = inside(seen, height, width)
-        column, row = seen[there].astype(int).T
-        off.append(np.abs(np.log(depth[there] / depths[other, row, column])))
-    return float(np.median(np.concatenate(off)))
 
 
 def _miss(points: Array, pixels: Array, view: Index, viewmats: Array, Ks: Array) -> float:

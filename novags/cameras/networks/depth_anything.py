@@ -9,7 +9,6 @@ Depths are z-depths, cameras world-to-camera with pixel edges at whole numbers. 
 depths of one view seen from the next check the cameras.
 """
 
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -18,15 +17,14 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from novags.cameras.estimate import Array, CameraEstimate
-from novags.cameras.networks.dense import Window, as_matrices, choose, from_pixels, numbers, refuse_other_conventions
-from novags.cameras.networks.package import brief, part, read_checkpoint, require
+from novags.cameras.estimate import CameraEstimate
+from novags.cameras.networks.dense import Window, as_matrices, normalised, numbers
+from novags.cameras.networks.depths import Depths, estimate_of
+from novags.cameras.networks.package import part, require, with_weights
 from novags.cameras.pictures import check_views
-from novags.cameras.points import unproject
 from novags.cameras.sources.da3 import Da3Config
 
 LONGEST, PATCH = 504, 14  # px
-MEAN, DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # of ImageNet
 REFERENCE = "saddle_balanced"  # its default for the view that others refer to
 
 
@@ -72,13 +70,13 @@ def da3_cameras(
     check_installed(config)
     prepared, window = as_its_loader(pictures)
     with torch.random.fork_rng():  # its class draws first weights, which are then replaced
-        model = _load(config, device)
-    viewmats, Ks, depths, confidence = _infer(model, prepared.to(device), config.rays)
-    chosen = choose("da3", confidence, np.isfinite(depths) & (depths > 0), config.drop_percent, n_points, seed)
-    view, y, x = chosen.T
-    points = unproject(np.stack([x, y], -1) + 0.5, depths[view, y, x], viewmats[view], Ks[view])
-    refuse_other_conventions("da3", chosen, depths, viewmats, Ks)
-    return from_pixels("da3", chosen, points, viewmats, Ks, window, colors_from)
+        model = part("da3", "depth_anything_3.api").DepthAnything3(model_name=config.network)
+        hint = "; da3:network=NAME says which network they are of"
+        model = with_weights(model, config.checkpoint, config.network, device, hint=hint).model
+    return estimate_of(
+        "da3", _infer(model, prepared.to(device), config.rays), window, colors_from, n_points=n_points,
+        drop_percent=config.drop_percent, seed=seed,
+    )  # fmt: skip
 
 
 def as_its_loader(pictures: NDArray[np.uint8]) -> tuple[Tensor, Window]:
@@ -95,9 +93,7 @@ def as_its_loader(pictures: NDArray[np.uint8]) -> tuple[Tensor, Window]:
                 picture = cv2.resize(picture, after, interpolation=cv2.INTER_CUBIC if grows else cv2.INTER_AREA)
         images.append(picture)
     values = torch.from_numpy(np.stack(images)).movedim(-1, 1).float() / 255
-    mean, deviation = (values.new_tensor(each)[:, None, None] for each in (MEAN, DEVIATION))
-    scale = np.array(near[-1]) / [width, height]
-    return (values - mean) / deviation, Window(scale, np.zeros(2), *near[-1])
+    return normalised(values), Window(np.array(near[-1]) / [width, height], np.zeros(2), *near[-1])
 
 
 def _patches(side: int) -> int:
@@ -105,25 +101,10 @@ def _patches(side: int) -> int:
     return max(1, (side + PATCH // 2) // PATCH * PATCH)
 
 
-def _load(config: Da3Config, device: str | torch.device) -> Any:
-    model = part("da3", "depth_anything_3.api").DepthAnything3(model_name=config.network)
-    try:
-        model.load_state_dict(read_checkpoint(Path(config.checkpoint)))
-    except Exception as error:  # other names, other shapes, or no tensors at all
-        raise ValueError(
-            f"{config.checkpoint} does not hold the weights of {config.network}: {brief(error)}; da3:network=NAME says "
-            "which network they are of"
-        ) from error
-    return model.model.eval().to(device)
-
-
-def _infer(model: Any, images: Tensor, rays: bool) -> tuple[Array, Array, Array, Array]:
-    """Of the prepared pictures, in float64: cameras [C, 4, 4], intrinsics [C, 3, 3], z-depths and their confidence
-    [C, H, W].
-    """
+def _infer(model: Any, images: Tensor, rays: bool) -> Depths:
     with torch.no_grad():
         found = model(images[None].float(), None, None, [], False, rays, REFERENCE)
     count, _, height, width = images.shape
     extrinsics, intrinsics = numbers(found["extrinsics"][0]), numbers(found["intrinsics"][0])
     depths, confidence = (numbers(found[key][0]).reshape(count, height, width) for key in ("depth", "depth_conf"))
-    return as_matrices(extrinsics[:, :3, :3], extrinsics[:, :3, 3]), intrinsics, depths, confidence
+    return Depths(as_matrices(extrinsics[:, :3, :3], extrinsics[:, :3, 3]), intrinsics, depths, confidence)

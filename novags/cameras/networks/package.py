@@ -76,6 +76,32 @@ def read_checkpoint(checkpoint: Path) -> Any:
         ) from error
 
 
+def with_weights(
+    model: Any, checkpoint: Path, name: str, device: str | torch.device, *, strict: bool = True, hint: str = ""
+) -> Any:
+    """A network with the weights of a file, for inference.
+
+    Args:
+        model: A module of the package.
+        checkpoint: Tensors by name.
+        name: Of the network, for messages.
+        device: Where it will run.
+        strict: False: tensors of other names in the file are left out. None of the network's own may be missing.
+        hint: What else may be wrong, for messages.
+
+    Raises:
+        ValueError: If the file cannot be read safely, or names or shapes are not the network's.
+    """
+    held = read_checkpoint(checkpoint)
+    try:
+        missing = model.load_state_dict(held, strict=strict).missing_keys
+        if missing:
+            raise ValueError(f"{len(missing)} of its tensors are missing, {missing[0]} for one")
+    except Exception as error:  # other names, other shapes, or no tensors at all
+        raise ValueError(f"{checkpoint} does not hold the weights of {name}: {brief(error)}{hint}") from error
+    return model.eval().to(device)
+
+
 def brief(error: Exception) -> str:
     """The first line of an error; torch adds a page of advice to load the file unsafely."""
     return (str(error).splitlines() or [type(error).__name__])[0][:200]

@@ -9,7 +9,6 @@ Points are depths in the network's cameras, which is more accurate than its own 
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,11 +17,11 @@ from numpy.typing import NDArray
 from PIL import Image
 from torch import Tensor
 
-from novags.cameras.estimate import Array, CameraEstimate
-from novags.cameras.networks.dense import Window, as_matrices, choose, from_pixels, numbers, prepare
-from novags.cameras.networks.package import brief, part, read_checkpoint, require
+from novags.cameras.estimate import CameraEstimate
+from novags.cameras.networks.dense import Window, as_matrices, numbers, prepare
+from novags.cameras.networks.depths import Depths, estimate_of
+from novags.cameras.networks.package import part, require, with_weights
 from novags.cameras.pictures import check_views
-from novags.cameras.points import unproject
 from novags.cameras.sources.vggt import VggtConfig
 
 WIDTH, PATCH = 518, 14  # px, of the pictures that the network was trained on
@@ -68,12 +67,11 @@ def vggt_cameras(
     check_installed(config)
     prepared, window = as_its_loader(pictures)
     with torch.random.fork_rng():  # its class draws first weights, which are then replaced
-        model = _load(config.checkpoint, device)
-    viewmats, Ks, depths, confidence, own_points = _infer(model, prepared.to(device))
-    chosen = choose("vggt", confidence, np.isfinite(depths) & (depths > 0), config.drop_percent, n_points, seed)
-    view, y, x = chosen.T
-    points = unproject(np.stack([x, y], -1) + 0.5, depths[view, y, x], viewmats[view], Ks[view])
-    return from_pixels("vggt", chosen, points, viewmats, Ks, window, colors_from, own_points[view, y, x])
+        model = with_weights(part("vggt", "vggt.models.vggt").VGGT(), config.checkpoint, "this VGGT", device)
+    return estimate_of(
+        "vggt", _infer(model, prepared.to(device)), window, colors_from, n_points=n_points,
+        drop_percent=config.drop_percent, seed=seed,
+    )  # fmt: skip
 
 
 def as_its_loader(pictures: NDArray[np.uint8]) -> tuple[Tensor, Window]:
@@ -84,22 +82,7 @@ def as_its_loader(pictures: NDArray[np.uint8]) -> tuple[Tensor, Window]:
     return prepare(pictures, (WIDTH, tall), (WIDTH, kept), (0, top), Image.Resampling.BICUBIC)
 
 
-def _load(checkpoint: Path, device: str | torch.device) -> Any:
-    model = part("vggt", "vggt.models.vggt").VGGT()
-    try:
-        model.load_state_dict(read_checkpoint(checkpoint))
-    except Exception as error:  # other names, other shapes, or no tensors at all
-        raise ValueError(f"{checkpoint} does not hold the weights of this VGGT: {brief(error)}") from error
-    return model.eval().to(device)
-
-
-def _infer(model: Any, images: Tensor) -> tuple[Array, Array, Array, Array, Array]:
-    """Of the prepared pictures, in float64.
-
-    Returns:
-        Cameras [C, 4, 4], intrinsics [C, 3, 3], z-depths and their confidence [C, H, W], and the world points that the
-        network predicts without its cameras [C, H, W, 3].
-    """
+def _infer(model: Any, images: Tensor) -> Depths:
     decode = part("vggt", "vggt.utils.pose_enc").pose_encoding_to_extri_intri
     with torch.no_grad():
         batch = images[None]
@@ -113,7 +96,7 @@ def _infer(model: Any, images: Tensor) -> tuple[Array, Array, Array, Array, Arra
     extrinsics, intrinsics, depths, confidence, points = (
         numbers(values[0]) for values in (extrinsics, intrinsics, depths[..., 0], confidence, points)
     )
-    return as_matrices(extrinsics[:, :, :3], extrinsics[:, :, 3]), intrinsics, depths, confidence, points
+    return Depths(as_matrices(extrinsics[:, :, :3], extrinsics[:, :, 3]), intrinsics, depths, confidence, points)
 
 
 @contextmanager

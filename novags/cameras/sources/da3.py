@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Literal
 
-from novags.cameras.settings import Pictures, check_drop, check_kind
+from novags.cameras.settings import Pictures, check_drop, check_kind, check_one_of
 from novags.cameras.source import CameraConfig, CameraSource
 from sensor_model.files.registry import Later
 
@@ -24,8 +24,7 @@ class Da3Config(CameraConfig):
     def __post_init__(self) -> None:
         check_kind("da3", self.pictures)
         check_drop("da3", self.drop_percent)
-        if self.network not in get_args(Network):
-            raise ValueError(f"network of da3 must be one of {', '.join(get_args(Network))}, got {self.network!r}")
+        check_one_of("network of da3", self.network, Network)
 
 
 SOURCE = CameraSource(

@@ -56,11 +56,11 @@ def _found(
     device: torch.device, console: Console,
 ) -> CameraEstimate:  # fmt: skip
     dark = stacked(capture.srgb8, indices)
-    views = capture.cameras
+    views = capture.cameras.about(origin_of(capture))
     if source_of(config).takes == "set":
         if not source.scaled:  # depth for the first points; its cameras differ from the capture's by rounding
-            views = dataclasses.replace(source.views, rig=views.rig)
-        return estimate_cameras(config, views.about(origin_of(capture)), indices, dark, n_points=points, seed=seed)
+            views = dataclasses.replace(source.views, rig=capture.cameras.rig).about(origin_of(capture))
+        return estimate_cameras(config, views, indices, dark, n_points=points, seed=seed)
     with console.progress("cameras") as progress:
         pictures = SEEN[config.looks_at](dark, seed)
         return estimate_cameras(

@@ -16,10 +16,12 @@ from novags.cameras.estimating import estimate_cameras
 from novags.cameras.sources.dust3r import Dust3rConfig
 from novags.cameras.sources.hloc import HlocConfig
 from novags.cameras.sources.known import KnownConfig
+from novags.cameras.sources.map_anything import MapAnythingConfig
 from novags.cameras.sources.mast3r import Mast3rConfig
 from novags.cameras.sources.sfm import SfmConfig
 from novags.cameras.sources.vggsfm import VggsfmConfig
 from novags.cameras.sources.vggt import VggtConfig
+from simscenes.rigs import Rig
 
 paths = st.sampled_from([Path("w.pt"), Path("a b/c=d:e.pt")])
 configs = st.one_of(
@@ -33,6 +35,7 @@ configs = st.one_of(
         first_octave=st.sampled_from([-1, 0, 1]),
     ),
     st.builds(VggtConfig, checkpoint=paths, drop_percent=st.floats(0, 99)),
+    st.builds(MapAnythingConfig, checkpoint=paths, known=st.sampled_from(["nothing", "lenses", "cameras"])),
     st.builds(Dust3rConfig, checkpoint=paths, pairs=st.sampled_from(["complete", "swin-5"])),
     st.builds(Mast3rConfig, checkpoint=paths, shared_lens=st.booleans(), iterations=st.integers(1, 900)),
     st.builds(VggsfmConfig, checkpoint=paths, home=paths, python=st.sampled_from(["python", "/opt/x=y/bin/python"])),
@@ -119,7 +122,7 @@ import sys
 from novags.cameras import SOURCES, parse_cameras, source_of, spell_cameras
 
 def loaded():
-    return [name for name in SOURCES if f"novags.cameras.sources.{name}" in sys.modules]
+    return [name for name in SOURCES if SOURCES.module_of(name) in sys.modules]
 
 assert "sfm" in SOURCES and len(list(SOURCES)) >= 7 and loaded() == [], loaded()
 config = parse_cameras("known:rotation_deg=1")
@@ -146,6 +149,7 @@ def test_sources_are_checked_before_they_are_used(monkeypatch):
         (Dust3rConfig(checkpoint=nowhere), "package dust3r"),
         (Mast3rConfig(checkpoint=nowhere), "package mast3r"),
         (VggsfmConfig(checkpoint=nowhere, home=nowhere), "program VGGSfM"),
+        (MapAnythingConfig(checkpoint=nowhere), "package mapanything"),
         (HlocConfig(), "package hloc"),
     ):
         with pytest.raises(ValueError, match=f"need the {needed}"):
@@ -161,7 +165,8 @@ def test_each_configuration_runs_its_source_on_the_views_that_are_asked_for(monk
     for name, source in SOURCES.items():
         record = replace(source, estimate=lambda *a, name=name, **k: calls.append((name, a, k)))
         monkeypatch.setitem(SOURCES, name, record)
-    multiview = SimpleNamespace(rig=SimpleNamespace(Ks=np.arange(5.0)[:, None, None] * np.ones((5, 3, 3))))
+    Ks = np.arange(1.0, 6.0)[:, None, None] * np.eye(3)
+    multiview = SimpleNamespace(rig=Rig(viewmats=np.tile(np.eye(4), (5, 1, 1)), Ks=Ks, width=2, height=2))
     dark = torch.tensor([0.0, 1 / 255, 0.5, 1.0]).reshape(1, 2, 2, 1).repeat(2, 1, 1, 3)
     shared, file = {"n_points": 7, "seed": 3}, Path("w.pt")
     networks = VggtConfig(checkpoint=file), Dust3rConfig(checkpoint=file), Mast3rConfig(checkpoint=file)
@@ -177,11 +182,18 @@ def test_each_configuration_runs_its_source_on_the_views_that_are_asked_for(monk
         assert args[0].dtype == np.uint8
         assert args[-1] is dark
         if name in ("sfm", "hloc"):
-            np.testing.assert_array_equal(args[1][:, 0, 0], [1.0, 4.0])
+            np.testing.assert_array_equal(args[1][:, 0, 0], [2.0, 5.0])
             assert how == {**shared, "config": config, "progress": None}
         else:
             assert len(args) == 2
             assert how == {**shared, "config": config, "device": "meta"}
+    told = MapAnythingConfig(checkpoint=file)
+    estimate_cameras(told, multiview, [1, 4], dark, device="meta", **shared)
+    name, (pictures, cameras, colors_from), how = calls[-1]
+    assert (name, how) == ("map-anything", {**shared, "config": told, "device": "meta"})
+    assert (pictures.dtype, colors_from is dark) == (np.uint8, True)
+    np.testing.assert_array_equal(cameras.Ks[:, 0, 0], [2.0, 5.0])
+    assert len(cameras.viewmats) == 2
     with pytest.raises(ValueError, match="cameras from denoised pictures need these pictures"):
         estimate_cameras(SfmConfig(pictures="denoised"), multiview, [1, 4], dark, **shared)
     given = np.zeros((2, 2, 2, 3), np.uint8)

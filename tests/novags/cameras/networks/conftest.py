@@ -1,4 +1,5 @@
-"""Stand-ins for DUSt3R and MASt3R: the interface and conventions of the real packages, over a scene that is known.
+"""Stand-ins for DUSt3R and MASt3R: the interface and conventions of the real packages, over a scene that is known; and
+what a network that is right says of a scene.
 
 Conventions, as the packages document them: pixel centres at 0, 1, ...; one focal length a view, in px of the picture
 that the network sees; poses camera-to-world; predictions for a pair in the frame of its first camera.
@@ -19,6 +20,8 @@ from scipy.spatial.transform import Rotation
 
 # The frame of the estimate: the scene turned, scaled and moved.
 TURN, SCALE, SHIFT = Rotation.from_rotvec([0.4, -1.1, 0.7]).as_matrix(), 0.37, np.array([2.0, -0.5, 1.5])
+
+UNIT = 1.7  # of a network that answers in the frame of the first camera, per unit of the scene
 
 SPELLED = (
     "{name}(pos_embed='RoPE100', patch_embed_cls='ManyAR_PatchEmbed', img_size=(512, 512), head_type='dpt', "
@@ -61,6 +64,45 @@ class Truth:
         pose[:3, :3] = TURN @ turn.T
         pose[:3, 3] = SCALE * TURN @ (-turn.T @ shift) + SHIFT
         return pose
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a network that is right says of pictures of a scene, in the frame of the first camera and a unit of its own.
+
+    Intrinsics [C, 3, 3] have pixel centres at +0.5; poses [C, 4, 4] are camera-to-world; z-depths are [C, H, W], points
+    in the cameras and in the world [C, H, W, 3].
+    """
+
+    Ks: np.ndarray
+    poses: np.ndarray
+    depths: np.ndarray
+    local: np.ndarray
+    points: np.ndarray
+    confidence: np.ndarray
+
+    @staticmethod
+    def of(scene, Ks: np.ndarray, width: int, height: int) -> "Answer":
+        first = scene.rig.viewmats[0]
+        poses = np.stack([first @ np.linalg.inv(viewmat) for viewmat in scene.rig.viewmats])
+        poses[:, :3, 3] *= UNIT
+        depths = UNIT * np.stack(
+            [scene.depth(viewmat, K, width, height) for viewmat, K in zip(scene.rig.viewmats, Ks, strict=True)]
+        )
+        y, x = np.mgrid[0:height, 0:width] + 0.5
+        rays = np.einsum("cij,hwj->chwi", np.linalg.inv(Ks), np.stack([x, y, np.ones_like(x)], -1))
+        local = rays * depths[..., None]
+        points = np.einsum("cij,chwj->chwi", poses[:, :3, :3], local) + poses[:, None, None, :3, 3]
+        confidence = 1 + np.random.default_rng(0).random(depths.shape)
+        return Answer(Ks, poses, depths, local, points, confidence)
+
+
+def same_poses(told, answer: Answer) -> None:
+    """Camera-to-world poses [C, 4, 4] of the scene in the frame of the first camera, its median distance for a unit."""
+    told, want = told.double().numpy(), answer.poses.copy()
+    distances = np.linalg.norm(want[:, :3, 3], axis=1)
+    want[:, :3, 3] /= np.sort(distances)[(len(want) - 1) // 2] if len(want) > 2 else distances[1]
+    np.testing.assert_allclose(told, want, atol=1e-6)
 
 
 class Network(torch.nn.Module):
@@ -260,3 +302,29 @@ def arguments() -> dict:
 @pytest.fixture
 def truth() -> type[Truth]:
     return Truth
+
+
+@pytest.fixture
+def answered() -> Callable[..., Answer]:
+    return Answer.of
+
+
+@pytest.fixture
+def told_as() -> Callable[..., None]:
+    return same_poses
+
+
+@pytest.fixture
+def installed(monkeypatch) -> Callable[..., None]:
+    """Makes modules of a package: `installed({"package.part": {"name": value}})`."""
+
+    def make(parts: dict[str, dict]) -> None:
+        modules: dict[str, types.ModuleType] = {}
+        for path, names in parts.items():
+            words = path.split(".")
+            for k in range(1, len(words) + 1):
+                modules.setdefault(".".join(words[:k]), types.ModuleType(".".join(words[:k])))
+            modules[path].__dict__.update(names)
+        install(monkeypatch, modules)
+
+    return make
