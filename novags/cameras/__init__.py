@@ -14,6 +14,7 @@ SOURCES: Registry[CameraSource] = Registry({
     "vggsfm": "novags.cameras.sources.vggsfm:SOURCE",
     "da3": "novags.cameras.sources.da3:SOURCE",
     "map-anything": "novags.cameras.sources.map_anything:SOURCE",
+    "pi3": "novags.cameras.sources.pi3:SOURCE",
 }, "novags.cameras", CameraSource)  # fmt: skip
 
 

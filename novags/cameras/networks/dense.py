@@ -181,7 +181,8 @@ def refuse_elsewhere(source: str, chosen: Index, points: Array, viewmats: Array,
     """
     if not (np.isfinite(viewmats).all() and np.isfinite(Ks).all()):
         raise ValueError(f"{source} returned cameras that are not finite: {UNSOUND}")
-    miss = _miss(points, chosen[:, :0:-1] + 0.5, chosen[:, 0], viewmats, Ks)
+    view, row, column = chosen.T
+    miss = _miss(points, np.stack([column, row], -1) + 0.5, view, viewmats, Ks)
     if not miss <= largest:
         raise ValueError(
             f"{source} returned points that its own cameras see {miss:.3g} px from their pixels (median, at most "

@@ -114,7 +114,9 @@ def estimate_of(
     refuse_elsewhere(source, chosen, own, viewmats, Ks, HEADS_MISS)
     if cameras is not None and known == "cameras":
         depths, viewmats = depths * _scale(source, viewmats, cameras.viewmats), np.array(cameras.viewmats)
-    if found.points is None or known == "cameras":
+        # In the frame that it was told them in: others would be the inverses that it would take them for.
+        refuse_other_conventions(source, chosen, depths, viewmats @ inverted(viewmats[:1]), Ks)
+    elif found.points is None:
         refuse_other_conventions(source, chosen, depths, viewmats, Ks)
     points = unproject(pixels, depths[view, y, x], viewmats[view], Ks[view])
     estimate = from_pixels(source, chosen, points, viewmats, Ks, window, colors_from)
