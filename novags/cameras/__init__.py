@@ -15,6 +15,7 @@ SOURCES: Registry[CameraSource] = Registry({
     "da3": "novags.cameras.sources.da3:SOURCE",
     "map-anything": "novags.cameras.sources.map_anything:SOURCE",
     "pi3": "novags.cameras.sources.pi3:SOURCE",
+    "vggt-omega": "novags.cameras.sources.vggt_omega:SOURCE",
 }, "novags.cameras", CameraSource)  # fmt: skip
 
 

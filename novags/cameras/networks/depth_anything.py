@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from novags.cameras.estimate import CameraEstimate
-from novags.cameras.networks.dense import Window, as_matrices, normalised, numbers
+from novags.cameras.networks.dense import Window, normalised, numbers
 from novags.cameras.networks.depths import Depths, estimate_of
 from novags.cameras.networks.package import part, require, with_weights
 from novags.cameras.pictures import check_views
@@ -107,4 +107,4 @@ def _infer(model: Any, images: Tensor, rays: bool) -> Depths:
     count, _, height, width = images.shape
     extrinsics, intrinsics = numbers(found["extrinsics"][0]), numbers(found["intrinsics"][0])
     depths, confidence = (numbers(found[key][0]).reshape(count, height, width) for key in ("depth", "depth_conf"))
-    return Depths(as_matrices(extrinsics[:, :3, :3], extrinsics[:, :3, 3]), intrinsics, depths, confidence)
+    return Depths(extrinsics, intrinsics, depths, confidence)

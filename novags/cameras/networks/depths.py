@@ -15,7 +15,15 @@ from torch import Tensor
 
 from novags.cameras.align import align
 from novags.cameras.estimate import Array, CameraEstimate, centers_of
-from novags.cameras.networks.dense import Index, Window, choose, from_pixels, inverted, refuse_elsewhere
+from novags.cameras.networks.dense import (
+    Index,
+    Window,
+    as_matrices,
+    choose,
+    from_pixels,
+    inverted,
+    refuse_elsewhere,
+)
 from novags.cameras.points import inside, project, unproject
 from novags.cameras.settings import Known
 from simscenes.rigs import Rig
@@ -29,7 +37,7 @@ class Depths:
     """What a network says of the prepared pictures.
 
     Attributes:
-        viewmats: [C, 4, 4], in a frame and unit of its own.
+        viewmats: [C, 4, 4], or without their last row, in a frame and unit of its own.
         Ks: [C, 3, 3].
         depths: Z-depths [C, H, W]; others than positive, finite ones give no points.
         confidence: [C, H, W].
@@ -104,31 +112,33 @@ def estimate_of(
     usable = np.isfinite(found.depths) & (found.depths > 0)
     chosen = choose(source, found.confidence, usable, drop_percent, n_points, seed)
     view, y, x = chosen.T
-    viewmats, Ks, depths, pixels = found.viewmats, found.Ks, found.depths, np.stack([x, y], -1) + 0.5
+    viewmats = as_matrices(found.viewmats[:, :3, :3], found.viewmats[:, :3, 3])
+    Ks, depths, pixels = found.Ks, found.depths, np.stack([x, y], -1) + 0.5
     if found.points is None:
         own = unproject(pixels, depths[view, y, x], viewmats[view], Ks[view])
     else:
         own = found.points[view, y, x]
-    if cameras is not None and known != "nothing":
-        Ks = window.prepared_Ks(cameras.Ks)
+    given = None if known == "nothing" else cameras
+    if given is not None:
+        Ks = window.prepared_Ks(given.Ks)
     refuse_elsewhere(source, chosen, own, viewmats, Ks, HEADS_MISS)
-    if cameras is not None and known == "cameras":
-        depths, viewmats = depths * _scale(source, viewmats, cameras.viewmats), np.array(cameras.viewmats)
+    if given is not None and known == "cameras":
+        depths, viewmats = depths * _scale(source, viewmats, given.viewmats), np.array(given.viewmats)
         # In the frame that it was told them in: others would be the inverses that it would take them for.
         refuse_other_conventions(source, chosen, depths, viewmats @ inverted(viewmats[:1]), Ks)
     elif found.points is None:
         refuse_other_conventions(source, chosen, depths, viewmats, Ks)
     points = unproject(pixels, depths[view, y, x], viewmats[view], Ks[view])
     estimate = from_pixels(source, chosen, points, viewmats, Ks, window, colors_from)
-    if cameras is None or known == "nothing":
+    if given is None:
         return estimate
-    return replace(estimate, rig=replace(cameras, viewmats=viewmats))  # without the rounding of there and back
+    return replace(estimate, rig=replace(given, viewmats=viewmats))  # without the rounding of there and back
 
 
 def _check_shapes(source: str, found: Depths, shape: tuple[int, int, int]) -> None:
     count = shape[0]
-    wanted = {"viewmats": (count, 4, 4), "Ks": (count, 3, 3), "depths": shape, "confidence": shape,
-              "points": (*shape, 3)}  # fmt: skip
+    wanted = {"viewmats": (count, len(found.viewmats[0]), 4), "Ks": (count, 3, 3), "depths": shape,
+              "confidence": shape, "points": (*shape, 3)}  # fmt: skip
     for name, want in wanted.items():
         value = getattr(found, name)
         if value is not None and value.shape != want:

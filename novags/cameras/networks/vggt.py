@@ -18,7 +18,7 @@ from PIL import Image
 from torch import Tensor
 
 from novags.cameras.estimate import CameraEstimate
-from novags.cameras.networks.dense import Window, as_matrices, numbers, prepare
+from novags.cameras.networks.dense import Window, numbers, prepare
 from novags.cameras.networks.depths import Depths, estimate_of
 from novags.cameras.networks.package import part, require, with_weights
 from novags.cameras.pictures import check_views
@@ -96,7 +96,7 @@ def _infer(model: Any, images: Tensor) -> Depths:
     extrinsics, intrinsics, depths, confidence, points = (
         numbers(values[0]) for values in (extrinsics, intrinsics, depths[..., 0], confidence, points)
     )
-    return Depths(as_matrices(extrinsics[:, :, :3], extrinsics[:, :, 3]), intrinsics, depths, confidence, points)
+    return Depths(extrinsics, intrinsics, depths, confidence, points)
 
 
 @contextmanager
