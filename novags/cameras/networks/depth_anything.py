@@ -5,8 +5,8 @@ in float32: its owner's `forward` asks for a GPU's half precision. Pictures are 
 default: longest side 504 px, each side then the nearest multiple of 14, by OpenCV (areas where a picture shrinks, else
 cubic), minus mean and over deviation of ImageNet.
 
-Depths are z-depths, cameras world-to-camera with pixel edges at whole numbers. The network has no points of its own;
-depths of one view seen from the next check the cameras.
+Depths are z-depths, cameras world-to-camera with pixel edges at whole numbers, also those that it is told. The network
+has no points of its own; depths of one view seen from the next check the cameras.
 """
 
 from typing import Any
@@ -17,12 +17,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from novags.cameras.estimate import CameraEstimate
+from novags.cameras.estimate import Array, CameraEstimate
 from novags.cameras.networks.dense import Window, normalised, numbers
-from novags.cameras.networks.depths import Depths, estimate_of
+from novags.cameras.networks.depths import Depths, estimate_of, told
 from novags.cameras.networks.package import part, require, with_weights
 from novags.cameras.pictures import check_views
 from novags.cameras.sources.da3 import Da3Config
+from simscenes.rigs import Rig
 
 LONGEST, PATCH = 504, 14  # px
 REFERENCE = "saddle_balanced"  # its default for the view that others refer to
@@ -40,6 +41,7 @@ def check_installed(config: Da3Config) -> None:
 
 def da3_cameras(
     pictures: NDArray[np.uint8],
+    cameras: Rig,
     colors_from: Tensor,
     *,
     n_points: int,
@@ -51,31 +53,33 @@ def da3_cameras(
 
     Args:
         pictures: [C, h, w, 3] uint8, the network's input.
+        cameras: The set's, which the network is told if `config.known` says so.
         colors_from: [C, h, w, 3] dark images of the same views, 0..1.
         n_points: Maximum number of points.
-        config: Weights, network and threshold.
+        config: Weights, network, what is known, and threshold.
         seed: Of the choice of points.
         device: Where the network runs.
 
     Returns:
         In the network's frame and unit. `Ks` are the network's, at the size of `pictures`; they belong to its depths,
-        so they are not replaced by known ones.
+        so they are not replaced by known ones. With known cameras: these, and depths scaled to them.
 
     Raises:
         ValueError: If package or weights are missing or do not fit, for wrong shapes or types, or if the network
             returns values that are not finite, no positive depth, or cameras of other conventions.
     """
     pictures = np.asarray(pictures)
-    check_views(pictures, colors_from, n_points, fewest=1)
+    check_views(pictures, colors_from, n_points, cameras.Ks, fewest=2 if config.known == "cameras" else 1)
     check_installed(config)
     prepared, window = as_its_loader(pictures)
+    viewmats, Ks = told("da3", config.known, cameras, window)
     with torch.random.fork_rng():  # its class draws first weights, which are then replaced
         model = part("da3", "depth_anything_3.api").DepthAnything3(model_name=config.network)
         hint = "; da3:network=NAME says which network they are of"
         model = with_weights(model, config.checkpoint, config.network, device, hint=hint).model
     return estimate_of(
-        "da3", _infer(model, prepared.to(device), config.rays), window, colors_from, n_points=n_points,
-        drop_percent=config.drop_percent, seed=seed,
+        "da3", _infer(model, prepared.to(device), viewmats, Ks, config.rays), window, colors_from, n_points=n_points,
+        drop_percent=config.drop_percent, seed=seed, known=config.known, cameras=cameras,
     )  # fmt: skip
 
 
@@ -101,9 +105,11 @@ def _patches(side: int) -> int:
     return max(1, (side + PATCH // 2) // PATCH * PATCH)
 
 
-def _infer(model: Any, images: Tensor, rays: bool) -> Depths:
+def _infer(model: Any, images: Tensor, viewmats: Array | None, Ks: Array | None, rays: bool) -> Depths:
+    """Of the prepared pictures, with cameras where they are known."""
+    known = [None if values is None else images.new_tensor(values)[None] for values in (viewmats, Ks)]
     with torch.no_grad():
-        found = model(images[None].float(), None, None, [], False, rays, REFERENCE)
+        found = model(images[None].float(), *known, [], False, rays, REFERENCE)
     count, _, height, width = images.shape
     extrinsics, intrinsics = numbers(found["extrinsics"][0]), numbers(found["intrinsics"][0])
     depths, confidence = (numbers(found[key][0]).reshape(count, height, width) for key in ("depth", "depth_conf"))

@@ -3,9 +3,8 @@
 Signatures, shapes and conventions are those of depth-anything-3 0.1.1, read in its sources.
 """
 
-import importlib.machinery
-import sys
-import types
+import importlib.util
+from dataclasses import replace
 from typing import Any
 
 import cv2
@@ -15,6 +14,7 @@ import torch
 from safetensors.torch import save_file
 
 from novags.cameras import parse_cameras
+from novags.cameras.estimate import extent_of
 from novags.cameras.networks.depth_anything import as_its_loader, da3_cameras
 from novags.cameras.sources.da3 import Da3Config
 
@@ -27,6 +27,8 @@ class Net(torch.nn.Module):
 
     truth: dict[str, torch.Tensor] = {}
     asked: list[bool] = []
+    told: Any = None  # known cameras, which it expects
+    told_as: Any = None
 
     def __init__(self) -> None:
         super().__init__()
@@ -38,7 +40,14 @@ class Net(torch.nn.Module):
     ) -> dict[str, torch.Tensor]:  # fmt: skip
         assert x.dtype == torch.float32
         assert x.shape == (1, self.truth["depth"].shape[1], 3, *self.truth["depth"].shape[2:])
-        assert (extrinsics, intrinsics, export_feat_layers, infer_gs) == (None, None, [], False)
+        assert (export_feat_layers, infer_gs) == ([], False)
+        if self.told is None:
+            assert (extrinsics, intrinsics) == (None, None)
+        else:  # world to camera, of which the package takes the inverses
+            assert extrinsics.dtype == intrinsics.dtype == torch.float32
+            assert extrinsics.shape == (1, len(self.told.Ks), 4, 4)
+            type(self).told_as(torch.linalg.inv(extrinsics[0]), self.told)
+            np.testing.assert_allclose(intrinsics[0].numpy(), self.told.Ks, rtol=1e-6)
         assert ref_view_strategy == "saddle_balanced"
         assert not self.training
         assert not torch.is_grad_enabled()
@@ -59,12 +68,10 @@ class DepthAnything3(torch.nn.Module):
 
 
 @pytest.fixture
-def package(monkeypatch, tmp_path):
-    modules = {name: types.ModuleType(name) for name in ("depth_anything_3", "depth_anything_3.api")}
-    modules["depth_anything_3.api"].DepthAnything3 = DepthAnything3
-    for name, module in modules.items():
-        module.__spec__ = importlib.machinery.ModuleSpec(name, None)
-        monkeypatch.setitem(sys.modules, name, module)
+def package(monkeypatch, tmp_path, installed, told_as):
+    installed({"depth_anything_3.api": {"DepthAnything3": DepthAnything3}})
+    monkeypatch.setattr(Net, "told", None)
+    monkeypatch.setattr(Net, "told_as", staticmethod(told_as))
     save_file({"model.weight": torch.tensor([1.0, 2.0])}, tmp_path / "model.safetensors")
     monkeypatch.setattr(Net, "asked", [])
     return tmp_path / "model.safetensors"
@@ -101,7 +108,8 @@ def as_dark(pictures: np.ndarray) -> torch.Tensor:
 
 
 def found(scene: Any, config: Da3Config, count: int = 1000, seed: int = 0) -> Any:
-    return da3_cameras(scene.pictures, as_dark(scene.pictures), n_points=count, config=config, seed=seed)
+    dark = as_dark(scene.pictures)
+    return da3_cameras(scene.pictures, scene.rig, dark, n_points=count, config=config, seed=seed)
 
 
 @pytest.mark.parametrize(("width", "height"), SIZES)
@@ -175,6 +183,41 @@ def test_depths_that_contradict_each_other_by_any_convention_are_no_sign_of_one(
     assert len(found(scene, config).points) == 1000
 
 
+@pytest.mark.parametrize("count", [2, 3, 11])
+def test_known_cameras_stay_and_depths_are_scaled_to_them(shown, answered, count):
+    """It answers in a frame and unit of its own, with a lens that is a little off, as networks do."""
+    scene, config = shown(40, 30, count)
+    right = Net.told = answered(scene, Net.truth["intrinsics"][0].double().numpy(), *network_size(40, 30))
+    Net.truth |= {
+        "depth": torch.tensor(right.depths).float()[None],
+        "extrinsics": torch.linalg.inv(torch.tensor(right.poses).float())[None],
+        "intrinsics": Net.truth["intrinsics"] * torch.tensor([1.01, 1.01, 1])[:, None],
+    }
+    known = replace(config, known="cameras")
+    got = found(scene, known, 3000)
+    np.testing.assert_array_equal(got.viewmats.numpy(), scene.rig.viewmats)
+    np.testing.assert_array_equal(got.Ks.numpy(), scene.rig.Ks)
+    assert got.extent == extent_of(np.array(scene.rig.viewmats))
+    assert scene.distance(got.points.numpy()).max() < 1e-5
+    Net.truth["extrinsics"] = torch.eye(4)[None, None].repeat(1, count, 1, 1)
+    with pytest.raises(ValueError, match="da3 cannot scale its depths by the known cameras: the estimated cameras all"):
+        found(scene, known)
+
+
+def test_depths_of_cameras_the_other_way_round_are_refused_where_cameras_are_known(shown, answered):
+    """Of a package that takes what it is told for camera-to-world, and says it again."""
+    scene, config = shown(40, 30, 3)
+    size = network_size(40, 30)
+    right = Net.told = answered(scene, Net.truth["intrinsics"][0].double().numpy(), *size)
+    first, viewmats = scene.rig.viewmats[0], scene.rig.viewmats
+    inverse = np.stack([np.linalg.inv(viewmat @ np.linalg.inv(first)) @ first for viewmat in viewmats])
+    wrong = answered(replace(scene, rig=replace(scene.rig, viewmats=inverse)), right.Ks, *size)
+    Net.truth["depth"] = torch.tensor(wrong.depths).float()[None]
+    Net.truth["extrinsics"] = torch.linalg.inv(torch.tensor(right.poses).float())[None]
+    with pytest.raises(ValueError, match=r"da3 returned cameras .* if they were camera-to-world .* other conventions"):
+        found(scene, replace(config, known="cameras"))
+
+
 def test_one_view_has_nothing_to_contradict_it(shown):
     scene, config = shown(40, 30, 1)
     assert len(found(scene, config).points) == 1000
@@ -193,9 +236,13 @@ def test_weights_of_another_network_or_none_are_said_in_one_line(shown, package,
 
 def test_what_does_not_fit_is_refused(shown, package):
     scene, config = shown(40, 30)
-    assert parse_cameras(f"da3:checkpoint={package},network=da3-small") == Da3Config(
-        checkpoint=package, network="da3-small"
+    assert parse_cameras(f"da3:checkpoint={package},network=da3-small,known=cameras") == Da3Config(
+        checkpoint=package, network="da3-small", known="cameras"
     )
+    with pytest.raises(ValueError, match="known must be one of nothing, cameras, got 'lenses'"):
+        parse_cameras(f"da3:checkpoint={package},known=lenses")
+    with pytest.raises(ValueError, match="known of da3 must be one of nothing, cameras, got 'lenses'"):
+        Da3Config(checkpoint=package, known="lenses")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="network of da3 must be one of da3-small, .*, got 'da3-tiny'"):
         Da3Config(checkpoint=package, network="da3-tiny")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match=r"drop_percent of da3 must lie in \[0, 100\), got 100"):
