@@ -1,5 +1,7 @@
 """Claims about the frame that a reconstruction lives in, and about what a capture gives methods with wrong cameras."""
 
+from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -8,16 +10,19 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
+from novags.cameras import SOURCES
 from novags.cameras.estimate import CameraEstimate
 from novags.cameras.estimating import estimate_cameras
+from novags.cameras.sources.da3 import Da3Config
 from novags.cameras.sources.known import KnownConfig
 from novags.cameras.sources.sfm import SfmConfig
+from novags.methods.memo import Memo
 from novags.splats import Gaussians, rasterize
 from novags.testbed import stages
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.stages import camera_source
-from novags.testbed.stages.camera_source import CoordinateFrame, cameras_of, views_of
+from novags.testbed.stages.camera_source import CoordinateFrame, cameras_of, true_cameras, views_of
 from novags.testbed.stages.seen import SEEN
 from novags.testbed.stages.seen.raw import codes
 from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
@@ -201,6 +206,29 @@ def test_the_seed_reaches_the_pictures_for_matching_and_the_source(
             config, opened, opened.source(Console(quiet=True)), [0, 1], 5, 7, torch.device("cpu"), Console(quiet=True)
         )
     assert seeds == [7, 7]
+
+
+def test_known_cameras_reach_a_network_in_the_world_of_reconstructions(
+    opened: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a set far from zero, whose zero is moved: then its estimate has the true cameras to the bit."""
+    handed = list[Rig]()
+
+    def found(pictures: np.ndarray, cameras: Rig, dark: torch.Tensor, **how: Any) -> CameraEstimate:
+        assert pictures.dtype == np.uint8
+        handed.append(cameras)
+        return estimate(torch.tensor(cameras.viewmats), cameras.Ks, tuple(range(len(cameras))))
+
+    row = replace(SOURCES["da3"], check=lambda config: None, estimate=found)
+    monkeypatch.setitem(SOURCES, "da3", row)
+    far = replace(opened, cameras=opened.cameras.about((-4e6, 1e6, 0.0)), memo=Memo())
+    train, config = far.cameras.train_indices, Da3Config(checkpoint=Path("w"), known="cameras")
+    got = cameras_of(config, far, opened.source(QUIET), train, 60, 0, torch.device("cpu"), QUIET)
+    assert np.abs(far.cameras.rig.viewmats[train, :3, 3]).max() > 1e5
+    assert np.abs(handed[0].viewmats[:, :3, 3]).max() < 100
+    frame = CoordinateFrame.of(far, train, got, None)
+    assert torch.equal(got.viewmats, true_cameras(far)[train])
+    assert float(frame.alignment.rotation_deg.max()) == float(frame.alignment.centre_error.max()) == 0
 
 
 @pytest.mark.parametrize("chosen", [None, [2, 0]])
