@@ -19,7 +19,7 @@ from torch import Tensor
 
 from novags.cameras.estimate import Array, CameraEstimate
 from novags.cameras.networks.dense import Window, normalised, numbers
-from novags.cameras.networks.depths import Depths, estimate_of, told
+from novags.cameras.networks.depths import NetworkAnswer, estimate_of, told
 from novags.cameras.networks.package import part, require, with_weights
 from novags.cameras.pictures import check_views
 from novags.cameras.sources.da3 import Da3Config
@@ -105,7 +105,7 @@ def _patches(side: int) -> int:
     return max(1, (side + PATCH // 2) // PATCH * PATCH)
 
 
-def _infer(model: Any, images: Tensor, viewmats: Array | None, Ks: Array | None, rays: bool) -> Depths:
+def _infer(model: Any, images: Tensor, viewmats: Array | None, Ks: Array | None, rays: bool) -> NetworkAnswer:
     """Of the prepared pictures, with cameras where they are known."""
     known = [None if values is None else images.new_tensor(values)[None] for values in (viewmats, Ks)]
     with torch.no_grad():
@@ -113,4 +113,4 @@ def _infer(model: Any, images: Tensor, viewmats: Array | None, Ks: Array | None,
     count, _, height, width = images.shape
     extrinsics, intrinsics = numbers(found["extrinsics"][0]), numbers(found["intrinsics"][0])
     depths, confidence = (numbers(found[key][0]).reshape(count, height, width) for key in ("depth", "depth_conf"))
-    return Depths(extrinsics, intrinsics, depths, confidence)
+    return NetworkAnswer(extrinsics, intrinsics, depths, confidence)

@@ -33,7 +33,7 @@ LARGEST_TURN = 10.0  # degrees between cameras that a network was told and those
 
 
 @dataclass(frozen=True)
-class Depths:
+class NetworkAnswer:
     """What a network says of the prepared pictures.
 
     Attributes:
@@ -88,8 +88,8 @@ def told(source: str, known: Known, cameras: Rig, window: Window) -> tuple[Array
 
 
 def estimate_of(
-    source: str, found: Depths, window: Window, colors_from: Tensor, *, n_points: int, drop_percent: float, seed: int,
-    known: Known = "nothing", cameras: Rig | None = None,
+    source: str, found: NetworkAnswer, window: Window, colors_from: Tensor, *, n_points: int, drop_percent: float,
+    seed: int, known: Known = "nothing", cameras: Rig | None = None,
 ) -> CameraEstimate:  # fmt: skip
     """Cameras and points from depths.
 
@@ -135,7 +135,7 @@ def estimate_of(
     return replace(estimate, rig=replace(given, viewmats=viewmats))  # without the rounding of there and back
 
 
-def _check_shapes(source: str, found: Depths, shape: tuple[int, int, int]) -> None:
+def _check_shapes(source: str, found: NetworkAnswer, shape: tuple[int, int, int]) -> None:
     count = shape[0]
     wanted = {"viewmats": (count, len(found.viewmats[0]), 4), "Ks": (count, 3, 3), "depths": shape,
               "confidence": shape, "points": (*shape, 3)}  # fmt: skip

@@ -22,7 +22,7 @@ from torch import Tensor
 
 from novags.cameras.estimate import Array, CameraEstimate
 from novags.cameras.networks.dense import Window, inverted, normalised, numbers, prepare
-from novags.cameras.networks.depths import Depths, estimate_of, told
+from novags.cameras.networks.depths import NetworkAnswer, estimate_of, told
 from novags.cameras.networks.package import brief, part, require, with_weights
 from novags.cameras.pictures import check_views
 from novags.cameras.sources.map_anything import MapAnythingConfig
@@ -127,7 +127,7 @@ def _without_files(config: dict[str, Any]) -> dict[str, Any]:
     return {name: None if name == "pretrained_checkpoint_path" else value for name, value in plain.items()}
 
 
-def _infer(model: Any, images: Tensor, viewmats: Array | None, Ks: Array | None) -> Depths:
+def _infer(model: Any, images: Tensor, viewmats: Array | None, Ks: Array | None) -> NetworkAnswer:
     """Of the prepared pictures, with poses and intrinsics where they are known."""
     views: list[dict[str, Any]] = [{"img": image[None], "data_norm_type": ["dinov2"]} for image in images]
     for i, view in enumerate(views):
@@ -141,7 +141,7 @@ def _infer(model: Any, images: Tensor, viewmats: Array | None, Ks: Array | None)
     poses, intrinsics, depths, confidence, points = (
         numbers(view[key][0] for view in found) for key in ("camera_poses", "intrinsics", "depth_z", "conf", "pts3d")
     )
-    return Depths(inverted(poses), _half_less(intrinsics, -0.5), depths[..., 0], confidence, points)
+    return NetworkAnswer(inverted(poses), _half_less(intrinsics, -0.5), depths[..., 0], confidence, points)
 
 
 def _half_less(Ks: Array, half: float) -> Array:

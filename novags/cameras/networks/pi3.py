@@ -19,7 +19,7 @@ from torch import Tensor
 
 from novags.cameras.estimate import Array, CameraEstimate
 from novags.cameras.networks.dense import Window, inverted, numbers, prepare
-from novags.cameras.networks.depths import Depths, estimate_of, told
+from novags.cameras.networks.depths import NetworkAnswer, estimate_of, told
 from novags.cameras.networks.package import part, require, with_weights
 from novags.cameras.pictures import check_views
 from novags.cameras.sources.pi3 import Pi3Config
@@ -104,7 +104,7 @@ def _load(config: Pi3Config, device: str | torch.device) -> Any:
     return with_weights(model, config.checkpoint, config.network, device, strict=strict, hint=hint)
 
 
-def _infer(model: Any, images: Tensor, viewmats: Array | None, Ks: Array | None) -> Depths:
+def _infer(model: Any, images: Tensor, viewmats: Array | None, Ks: Array | None) -> NetworkAnswer:
     """Of the prepared pictures, with poses and intrinsics where they are known."""
     known = dict[str, Tensor]()
     if Ks is not None:
@@ -117,7 +117,7 @@ def _infer(model: Any, images: Tensor, viewmats: Array | None, Ks: Array | None)
         numbers(values[0])
         for values in (found["camera_poses"], found["local_points"], found["points"], found["conf"].sigmoid()[..., 0])
     )
-    return Depths(inverted(poses), fitted_lenses(local), local[..., 2], confidence, points)
+    return NetworkAnswer(inverted(poses), fitted_lenses(local), local[..., 2], confidence, points)
 
 
 def fitted_lenses(local: Array) -> Array:

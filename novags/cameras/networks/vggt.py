@@ -19,7 +19,7 @@ from torch import Tensor
 
 from novags.cameras.estimate import CameraEstimate
 from novags.cameras.networks.dense import Window, numbers, prepare
-from novags.cameras.networks.depths import Depths, estimate_of
+from novags.cameras.networks.depths import NetworkAnswer, estimate_of
 from novags.cameras.networks.package import part, require, with_weights
 from novags.cameras.pictures import check_views
 from novags.cameras.sources.vggt import VggtConfig
@@ -82,7 +82,7 @@ def as_its_loader(pictures: NDArray[np.uint8]) -> tuple[Tensor, Window]:
     return prepare(pictures, (WIDTH, tall), (WIDTH, kept), (0, top), Image.Resampling.BICUBIC)
 
 
-def _infer(model: Any, images: Tensor) -> Depths:
+def _infer(model: Any, images: Tensor) -> NetworkAnswer:
     decode = part("vggt", "vggt.utils.pose_enc").pose_encoding_to_extri_intri
     with torch.no_grad():
         batch = images[None]
@@ -96,7 +96,7 @@ def _infer(model: Any, images: Tensor) -> Depths:
     extrinsics, intrinsics, depths, confidence, points = (
         numbers(values[0]) for values in (extrinsics, intrinsics, depths[..., 0], confidence, points)
     )
-    return Depths(extrinsics, intrinsics, depths, confidence, points)
+    return NetworkAnswer(extrinsics, intrinsics, depths, confidence, points)
 
 
 @contextmanager

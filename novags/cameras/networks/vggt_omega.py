@@ -22,7 +22,7 @@ from torch import Tensor
 
 from novags.cameras.estimate import CameraEstimate
 from novags.cameras.networks.dense import Window, numbers, prepare
-from novags.cameras.networks.depths import Depths, estimate_of
+from novags.cameras.networks.depths import NetworkAnswer, estimate_of
 from novags.cameras.networks.package import part, require, with_weights
 from novags.cameras.pictures import check_views
 from novags.cameras.sources.vggt_omega import VggtOmegaConfig
@@ -92,7 +92,7 @@ def as_its_loader(pictures: NDArray[np.uint8]) -> tuple[Tensor, Window]:
     return prepare(pictures, scaled, kept, offset, Image.Resampling.BICUBIC)
 
 
-def _infer(model: Any, images: Tensor) -> Depths:
+def _infer(model: Any, images: Tensor) -> NetworkAnswer:
     """Of the prepared pictures."""
     decode = part("vggt-omega", "vggt_omega.utils.pose_enc").encoding_to_camera
     with torch.no_grad(), warnings.catch_warnings():
@@ -102,4 +102,4 @@ def _infer(model: Any, images: Tensor) -> Depths:
     extrinsics, intrinsics, depths, confidence = (
         numbers(values[0]) for values in (extrinsics, intrinsics, found["depth"][..., 0], found["depth_conf"])
     )
-    return Depths(extrinsics, intrinsics, depths, confidence)
+    return NetworkAnswer(extrinsics, intrinsics, depths, confidence)

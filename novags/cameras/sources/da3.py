@@ -31,7 +31,7 @@ class Da3Config(CameraConfig):
 
 
 SOURCE = CameraSource(
-    "the network Depth Anything 3, by your own installation and weights",
+    "the network Depth Anything 3, your own installation and weights (Apache-2.0 or CC BY-NC)",
     Da3Config,
     Later("novags.cameras.networks.depth_anything:check_installed"),
     Later("novags.cameras.networks.depth_anything:da3_cameras"),

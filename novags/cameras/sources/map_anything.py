@@ -24,7 +24,7 @@ class MapAnythingConfig(CameraConfig):
 
 
 SOURCE = CameraSource(
-    "the network MapAnything, by your own installation and weights",
+    "the network MapAnything, your own installation and weights (Apache-2.0 or CC BY-NC)",
     MapAnythingConfig,
     Later("novags.cameras.networks.map_anything:check_installed"),
     Later("novags.cameras.networks.map_anything:map_anything_cameras"),

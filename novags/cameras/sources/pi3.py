@@ -34,7 +34,7 @@ class Pi3Config(CameraConfig):
 
 
 SOURCE = CameraSource(
-    "the networks π³ and π³-X, by your own installation and weights",
+    "the networks π³ and π³-X, by your own installation and weights (CC BY-NC)",
     Pi3Config,
     Later("novags.cameras.networks.pi3:check_installed"),
     Later("novags.cameras.networks.pi3:pi3_cameras"),

@@ -22,7 +22,7 @@ class VggtOmegaConfig(CameraConfig):
 
 
 SOURCE = CameraSource(
-    "the network VGGT-Ω, by your own installation and weights",
+    "the network VGGT-Ω, by your own installation and weights (non-commercial)",
     VggtOmegaConfig,
     Later("novags.cameras.networks.vggt_omega:check_installed"),
     Later("novags.cameras.networks.vggt_omega:vggt_omega_cameras"),

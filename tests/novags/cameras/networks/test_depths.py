@@ -8,7 +8,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from novags.cameras.networks.dense import Window
-from novags.cameras.networks.depths import Depths, estimate_of, told
+from novags.cameras.networks.depths import NetworkAnswer, estimate_of, told
 from simscenes.rigs import Rig, orbit_rig
 
 RIG = orbit_rig(5, 40, 30, 50.0, radius=2.0, elevation_deg=30.0)
@@ -65,7 +65,7 @@ def test_points_come_from_depths_alone_whatever_lies_behind_a_masked_pixel(corne
     turns = Rotation.from_rotvec(np.radians(0.5) * g.standard_normal((4, 3)) * (known == "cameras")).as_matrix()
     viewmats = moved(scene.rig, np.eye(3), np.array([1.0, 2.0, 3.0]), 3.0).viewmats.copy()
     viewmats[:, :3] = turns @ viewmats[:, :3]
-    found = Depths(viewmats[:, :3], scene.rig.Ks, depths, np.ones(depths.shape))
+    found = NetworkAnswer(viewmats[:, :3], scene.rig.Ks, depths, np.ones(depths.shape))
     window = Window(np.ones(2), np.zeros(2), 40, 30)
     got = estimate_of("da3", found, window, torch.zeros(4, 30, 40, 3), n_points=500, drop_percent=0.0, seed=0,
                       known=known, cameras=scene.rig)  # fmt: skip
