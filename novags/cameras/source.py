@@ -23,6 +23,11 @@ class CameraConfig:
         found: Pictures = getattr(self, "pictures", "raw")
         return found
 
+    @property
+    def keeps_cameras(self) -> bool:
+        """Whether the estimate has the set's own cameras, told to a network that gives the first points alone."""
+        return getattr(self, "known", "nothing") == "cameras"
+
 
 @dataclass(frozen=True)
 class CameraSource:

@@ -15,21 +15,16 @@ from torch import Tensor
 
 from novags.cameras.align import align
 from novags.cameras.estimate import Array, CameraEstimate, centers_of
-from novags.cameras.networks.dense import (
-    Index,
-    Window,
-    as_matrices,
-    choose,
-    from_pixels,
-    inverted,
-    refuse_elsewhere,
-)
+from novags.cameras.networks.dense import Index, Window, as_matrices, choose, from_pixels, inverted, refuse_elsewhere
 from novags.cameras.points import inside, project, unproject
 from novags.cameras.settings import Known
 from simscenes.rigs import Rig
 
 HEADS_MISS = 10.0  # px of a prepared picture, of points that are as right as the network is
-LARGEST_TURN = 10.0  # degrees between cameras that a network was told and those that it returns
+# Between what a network was told and what it returns: other conventions turn cameras by the angles between views, and
+# take focal lengths of the original pictures, or shares of a side, for those of the prepared ones.
+LARGEST_TURN = 10.0  # degrees
+LARGEST_ZOOM = 1.25  # a factor
 
 
 @dataclass(frozen=True)
@@ -80,8 +75,8 @@ def told(source: str, known: Known, cameras: Rig, window: Window) -> tuple[Array
     unit = middle if middle > noise else distances[-1]
     if not unit > noise:
         raise ValueError(
-            f"{source} cannot scale its depths by known cameras that all stand at one place: leave {source}:"
-            "known=cameras out"
+            f"{source} cannot scale its depths by known cameras that all stand at one place: take "
+            f"{source}:known=nothing"
         )
     viewmats[:, :3, 3] /= unit
     return viewmats, Ks
@@ -118,10 +113,10 @@ def estimate_of(
         own = unproject(pixels, depths[view, y, x], viewmats[view], Ks[view])
     else:
         own = found.points[view, y, x]
+    refuse_elsewhere(source, chosen, own, viewmats, Ks, HEADS_MISS)
     given = None if known == "nothing" else cameras
     if given is not None:
-        Ks = window.prepared_Ks(given.Ks)
-    refuse_elsewhere(source, chosen, own, viewmats, Ks, HEADS_MISS)
+        Ks = _same_lenses(source, Ks, window.prepared_Ks(given.Ks))
     if given is not None and known == "cameras":
         depths, viewmats = depths * _scale(source, viewmats, given.viewmats), np.array(given.viewmats)
         # In the frame that it was told them in: others would be the inverses that it would take them for.
@@ -148,6 +143,21 @@ def _check_shapes(source: str, found: NetworkAnswer, shape: tuple[int, int, int]
             )
 
 
+def _same_lenses(source: str, Ks: Array, known: Array) -> Array:
+    """The known intrinsics [C, 3, 3].
+
+    Raises:
+        ValueError: If the network's focal lengths are others.
+    """
+    factors = np.abs(np.log(Ks[:, [0, 1], [0, 1]] / known[:, [0, 1], [0, 1]]))
+    if not (zoom := float(np.exp(np.median(factors)))) <= LARGEST_ZOOM:
+        raise ValueError(
+            f"{source} was told the lenses and returned others, whose focal lengths differ by a factor of {zoom:.3g} "
+            f"(median, at most {LARGEST_ZOOM:g}): take {source}:known=nothing, or check the version of the package"
+        )
+    return known
+
+
 def _scale(source: str, viewmats: Array, known: Array) -> float:
     """Length in the known cameras' world of a unit of the network's, from its own cameras.
 
@@ -161,7 +171,8 @@ def _scale(source: str, viewmats: Array, known: Array) -> float:
     if not (turned := float(found.rotation_deg.median())) <= LARGEST_TURN:
         raise ValueError(
             f"{source} was told the cameras and returned others, {turned:.3g} degrees from them (median, at most "
-            f"{LARGEST_TURN:g}): its depths have no known scale. Leave {source}:known=cameras out, or check its version"
+            f"{LARGEST_TURN:g}), so its depths have no known scale: take {source}:known=nothing, or check the version "
+            "of the package"
         )
     return found.similarity.scale
 

@@ -116,7 +116,8 @@ class Case:
 def cameras(case: Case) -> ReconstructConfig:
     """The set's own cameras, and first points that follow them."""
     settings = {"fit.refine_cameras": None} if has_setting(case.config.config, "fit.refine_cameras") else {}
-    config = replace(case.config, cameras=KnownConfig(), config=changed(case.config.config, settings))
+    cameras = case.config.cameras if case.config.cameras.keeps_cameras else KnownConfig()
+    config = replace(case.config, cameras=cameras, config=changed(case.config.config, settings))
     if config == case.config:
         raise NotSwapped("they are the true ones already")
     if case.capture.imported:

@@ -47,7 +47,7 @@ def test_two_cameras_are_one_apart_and_cameras_at_one_place_are_refused():
     turned = RIG.viewmats.copy()
     turned[:, :3, 3] = -turned[:, :3, :3] @ np.array([3.0, 2.0, 1e6])
     with pytest.raises(
-        ValueError, match="da3 cannot scale its depths by known cameras that all stand at one place: leave"
+        ValueError, match="da3 cannot scale its depths by known cameras that all stand at one place: take"
     ):
         told("da3", "cameras", replace(RIG, viewmats=turned), WINDOW)
 

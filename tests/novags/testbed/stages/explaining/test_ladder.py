@@ -91,6 +91,10 @@ def test_photographs_have_no_truth_but_the_tone_and_the_length(tmp_path: Path) -
 def test_ingredients_that_are_true_already_are_not_replaced(tmp_path: Path) -> None:
     found = changes_of(case(tmp_path), list(SWAPS))
     assert "true ones already" in str(found["cameras"])
+    told = case(tmp_path, cameras="da3:checkpoint=w,known=cameras")  # first points are the network's
+    assert "true ones already" in str(changes_of(told, ["cameras"])["cameras"])
+    alone: Any = changes_of(case(tmp_path, cameras="da3:checkpoint=w"), ["cameras"])["cameras"]
+    assert alone.cameras == parse_cameras("known")
 
 
 def test_cameras_are_swapped_alone(tmp_path: Path) -> None:
