@@ -33,6 +33,8 @@ METHODS: Registry[Method] = Registry(
         "raw-gs": "novags.methods.rivals.rows.raw_gs:METHOD",
         "3dgs4ll": "novags.methods.calibrated.row:METHOD",
         "3dgs4ll-luma": "novags.methods.calibrated.luma_row:METHOD",
+        "hdrsplat": "novags.methods.rivals.rows.hdrsplat:METHOD",
+        "le3d": "novags.methods.rivals.rows.le3d:METHOD",
         "oracle": "novags.methods.enhanced.oracle:METHOD",
         "nerf": "novags.methods.nerf.rows.nerf:METHOD",
         "raw-nerf": "novags.methods.nerf.rows.raw_nerf:METHOD",

@@ -55,14 +55,17 @@ class GaussianScene:
         images, alphas = self.splatted(
             self.gaussians.sh, views, sh_degree=self.gaussians.sh_degree, render_mode="RGB+ED"
         )
-        colors = images[..., :3]
+        return self.shown(images[..., :3]), alphas[..., 0], images[..., 3]
+
+    def shown(self, colors: Tensor) -> Tensor:
+        """Rendered colours [..., 3] as the scene shows them."""
         if self.tone is not None:
             colors = self.tone.light(colors)
         if self.matrix is not None:
             colors = colors @ self.matrix.to(colors).T
         if self.response is not None:
             colors = self.response.codes(colors)
-        return colors, alphas[..., 0], images[..., 3]
+        return colors
 
     def splatted(self, values: Tensor, views: Views, **more: Any) -> tuple[Tensor, Tensor]:
         """Rendered values of the Gaussians [N, D], or their harmonics [N, K, 3], and alphas; more: of `rasterize`."""

@@ -46,31 +46,40 @@ def train(
         ValueError: If a checkpoint is damaged or belongs to another run.
     """
     started = time.perf_counter()
-    linear, earlier = _kept(problem, config, progress, checkpoint)
+    linear, earlier = denoised_pictures(problem, config, progress, checkpoint)
     denoising = earlier + time.perf_counter() - started
-    adapting = parts(config)["denoiser"]
 
     def targets(problem: Problem, enhancer: Enhancement, pictures: Pictures) -> Tensor:
         return gathered(enhanced_light(problem, linear, enhancer, pictures), linear)
 
-    def report(done: int, total: int, entry: dict[str, float]) -> None:
-        if progress is not None:
-            progress(adapting + done, adapting + total, entry)
-
     fitting = EnhancedFitConfig(
         pictures=config.pictures, enhance=config.enhance, init_scale=config.init_scale, fit=config.fit
     )
-    result = fit_enhanced(problem, fitting, targets, progress and report, checkpoint)
+    result = fit_enhanced(problem, fitting, targets, after_denoising(progress, config), checkpoint)
     result.config = dataclasses.replace(config, fit=result.config.fit)
     result.enhanced = enhanced(problem, config.enhance, config.pictures)
     result.seconds = {"denoise": denoising, **result.seconds}
     return result
 
 
-def _kept(
+def after_denoising(progress: Progress | None, config: DenoisedConfig) -> Progress | None:
+    """The progress of a fit whose steps count on from those of the adaptation."""
+    adapting = parts(config)["denoiser"]
+
+    def report(done: int, total: int, entry: dict[str, float]) -> None:
+        if progress is not None:
+            progress(adapting + done, adapting + total, entry)
+
+    return progress and report
+
+
+def denoised_pictures(
     problem: Problem, config: DenoisedConfig, progress: Progress | None, checkpoint: Path | None
 ) -> tuple[Tensor, float]:
-    """The denoised pictures, linear [C, H, W, 3], and the seconds that they took an interrupted run; 0 if made now."""
+    """The denoised pictures, linear [C, H, W, 3], and the seconds that they took an interrupted run; 0 if made now.
+
+    They are in the unit of `Problem.linear16`, and kept beside the checkpoint. Errors as `train` says.
+    """
     started = time.perf_counter()
     pictures = measured(problem)
     like = pictures.electrons.movedim(1, -1)

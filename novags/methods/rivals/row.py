@@ -8,9 +8,11 @@ from novags.methods.memory import Memory
 from novags.methods.variant import Method
 
 
-def rival(config: Callable[[], Any], train: Any, *, title: str, color: str, source: str, memory: Memory) -> Method:
-    """Another group's method that consists of one fit of Gaussians."""
+def rival(
+    config: Callable[[], Any], train: Any, *, title: str, color: str, source: str, memory: Memory,
+    parts: Callable[[Any], dict[str, int]] = fit_parts,
+) -> Method:  # fmt: skip
+    """Another group's method on Gaussians; its `parts` are one fit, unless they are given."""
     return Method(
-        title=title, family="3DGS", color=color, source=source, config=config, train=train, parts=fit_parts,
-        memory=memory,
-    )  # fmt: skip
+        title=title, family="3DGS", color=color, source=source, config=config, train=train, parts=parts, memory=memory
+    )

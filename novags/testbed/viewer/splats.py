@@ -13,6 +13,7 @@ from novags.methods.nerf.scene import load_field
 from novags.methods.problem import encode
 from novags.methods.reconstruction import ReconstructedScene
 from novags.methods.rivals.denoised_scene import with_denoiser
+from novags.methods.rivals.le3d.colours import with_colours
 from novags.methods.saved import saved_gaussians
 from novags.methods.variant.several import FITS, MeanScene, places
 from novags.splats.raster.raster_torch import quat_to_rotmat
@@ -73,7 +74,10 @@ def scene_of(run: Run) -> ReconstructedScene | None:
         known = [scene for scene in scenes if scene is not None]
         return MeanScene(known) if len(known) == len(fits) else None
     gaussians = gaussians_of(run)
-    return load_field(run.path) if gaussians is None else with_denoiser(gaussians, run.path)
+    if gaussians is None:
+        return load_field(run.path)
+    coloured = with_colours(gaussians, run.path)
+    return with_denoiser(gaussians, run.path) if coloured is gaussians else coloured
 
 
 def gaussians_of(run: Run) -> GaussianScene | None:
