@@ -108,6 +108,7 @@ def fit_and_average() -> None:
     from novags.methods.nova.sh_penalty import penalty_weights
     from novags.methods.nova_plus.average import non_local_means
     from novags.methods.nova_plus.likelihood import FLOOR, compare_tones
+    from novags.methods.rivals.le3d.ends import mark
     from novags.methods.tone import ToneCurve
     from novags.splats.warm import warm
 
@@ -117,6 +118,8 @@ def fit_and_average() -> None:
     normalised(picture.movedim(-1, 1).requires_grad_(), 0.2).sum().backward()
     penalty_weights(torch.ones(4, 2), torch.ones(4, dtype=torch.bool), picture[0, ..., 0])
     compare_tones(tones, tones, 0.1, 2.0, ToneCurve.STEEPEST, np.ones((10, 3)), FLOOR, 0.5, np.empty_like(tones))
+    order, reach, seen, ends = np.arange(4), np.ones((4, 2), np.int32), tones[:, :2], np.zeros((2, 4), np.bool_)
+    mark(order, seen, reach, tones, tones[:, 0].copy(), 2, 2, 1, *ends)
 
 
 def main() -> None:

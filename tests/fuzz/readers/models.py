@@ -211,6 +211,20 @@ def read_denoiser(folder: Path, file: Path) -> object:
     return with_denoiser(_wall(), folder).render(_view())
 
 
+def make_colours(folder: Path) -> None:
+    import torch
+
+    from novags.methods.rivals.le3d.colours import ColourNetwork, ColourScene
+
+    ColourScene(_wall(), torch.rand(5, 16), torch.rand(5, 3), ColourNetwork()).save(folder)
+
+
+def read_colours(folder: Path, file: Path) -> object:
+    from novags.methods.rivals.le3d.colours import with_colours
+
+    return with_colours(_wall(), folder).render(_view())
+
+
 def _torch() -> None:
     import torch
 
@@ -231,7 +245,8 @@ def _scenes() -> None:
     import torch
 
     import novags.methods.nerf.scene
-    import novags.methods.rivals.denoised_scene  # noqa: F401
+    import novags.methods.rivals.denoised_scene
+    import novags.methods.rivals.le3d.colours  # noqa: F401
 
     torch.set_num_threads(1)
 
@@ -257,5 +272,6 @@ READERS = [
     Reader(
         "denoiser of a scene", make_denoiser, read_denoiser, ("scene/*",), cut=("scene/*",), share=4, prepare=_scenes
     ),
+    Reader("colours of a scene", make_colours, read_colours, ("scene/*",), cut=("scene/*",), share=4, prepare=_scenes),
     Reader("VGGT weights", make_weights, read_weights, ("w.*",), cut=("w.safetensors",), share=6, prepare=_stand_in),
 ]

@@ -21,7 +21,7 @@ LARGEST, TYPICAL, OF_LOSSES = 1e-2, 2e-3, 5e-3
 WAITS = 0.1  # for each iteration
 # Most settings of each kind of loop; the others run in test_every_method_trains.
 COMPARED = ("nova", "nova-fast", "nova-plus", "zero-dce-gs", "luminance-gs", "raw-gs")
-OTHERS = ("denoise-gs", "sci-gs", "lita-gs", "gaussian-dk", "ll-gaussian", "oracle", "gamma-gs")
+OTHERS = ("denoise-gs", "hdrsplat", "sci-gs", "lita-gs", "gaussian-dk", "ll-gaussian", "oracle", "gamma-gs")
 FIELDS = ("nerf", "raw-nerf", "aleth-nerf", "ll-nerf", "i2-nerf", "nerf-oracle")
 # Three need weights of others; one only warps pictures by the true surface, in numpy.
 LEFT_OUT = {"mbllen-gs", "uretinex-gs", "retinexformer-gs", "averaging"}

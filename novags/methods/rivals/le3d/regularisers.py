@@ -40,8 +40,9 @@ def bin_edges(depths: Tensor) -> Tensor | None:
 
 def in_bins(depths: Tensor, edges: Tensor) -> Tensor:
     """1 in the bin of each depth [N], 0 in the others: [N, BINS]; depths beyond the bins are in the nearest one."""
-    place = torch.bucketize(depths.detach(), edges[1:-1].contiguous(), right=True)
-    return torch.nn.functional.one_hot(place, BINS).to(depths)
+    depths = depths.detach()
+    place = torch.bucketize(depths, edges[1:-1].contiguous(), right=True)
+    return torch.zeros_like(depths)[:, None].repeat(1, BINS).scatter_(1, place[:, None], 1.0)
 
 
 def spread(histogram: Tensor, edges: Tensor) -> Tensor:

@@ -156,7 +156,13 @@ def test_pictures_on_disk_are_as_they_are_shown_and_floats_are_light(capture: Ca
 
 @pytest.mark.parametrize(
     ("name", "kept"),
-    [("nova-plus", "tone"), ("raw-gs", "matrix"), ("gaussian-dk", "response"), ("lita-gs", "denoiser")],
+    [
+        ("nova-plus", "tone"),
+        ("raw-gs", "matrix"),
+        ("gaussian-dk", "response"),
+        ("lita-gs", "denoiser"),
+        ("le3d", "network"),
+    ],
 )
 def test_a_saved_scene_gives_the_same_light_again(capture: Capture, run: Run, name: str, kept: str) -> None:
     if name != "nova-plus":
