@@ -35,6 +35,7 @@ METHODS: Registry[Method] = Registry(
         "3dgs4ll-luma": "novags.methods.calibrated.luma_row:METHOD",
         "hdrsplat": "novags.methods.rivals.rows.hdrsplat:METHOD",
         "le3d": "novags.methods.rivals.rows.le3d:METHOD",
+        "raw3dgs": "novags.methods.rivals.rows.raw3dgs:METHOD",
         "oracle": "novags.methods.enhanced.oracle:METHOD",
         "nerf": "novags.methods.nerf.rows.nerf:METHOD",
         "raw-nerf": "novags.methods.nerf.rows.raw_nerf:METHOD",
@@ -65,6 +66,7 @@ VARIANTS: Registry[Variant] = Registry(
         "oracle-fast-rates": "novags.methods.variant.rows.fast_rates:ORACLE",
         "i2-nerf-truth": "novags.methods.variant.rows.others:I2_NERF_TRUTH",
         "denoise-gs-plain": "novags.methods.variant.rows.others:DENOISE_PLAIN",
+        "raw3dgs-no-cov": "novags.methods.rivals.rows.raw3dgs:NO_COVARIANCE",
         "averaging-clean": "novags.methods.variant.rows.others:AVERAGING_CLEAN",
     }
 )
