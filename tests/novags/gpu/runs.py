@@ -36,7 +36,7 @@ SHORT: dict[str, Any] = {
     "fit.mcmc.refine_every": 12, "fit.mcmc.refine_stop": ITERATIONS, "denoiser.warmup_steps": ITERATIONS,
     "denoiser.network.widths": (8, 16), "denoiser.network.bottleneck": 16, "consistency.start": 0.2,
     "denoise.adapt.steps": ITERATIONS, "denoise.adapt.batch": 2, "enhance.steps": ITERATIONS, "seeds": 2,
-    "fit.rays": 64,
+    "fit.rays": 64, "pretrain.steps": ITERATIONS,
 }  # fmt: skip
 LOOPS = {"fit": (loop, "backpropagate"), "denoiser": (Denoiser, "train_step"), "adaptation": (Adaptation, "advance"),
          "enhancer": (rehearsal, "crops")}  # fmt: skip

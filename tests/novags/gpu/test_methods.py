@@ -21,7 +21,8 @@ LARGEST, TYPICAL, OF_LOSSES = 1e-2, 2e-3, 5e-3
 WAITS = 0.1  # for each iteration
 # Most settings of each kind of loop; the others run in test_every_method_trains.
 COMPARED = ("nova", "nova-fast", "nova-plus", "zero-dce-gs", "luminance-gs", "raw-gs")
-OTHERS = ("denoise-gs", "hdrsplat", "sci-gs", "lita-gs", "gaussian-dk", "ll-gaussian", "oracle", "gamma-gs")
+OTHERS = ("denoise-gs", "hdrsplat", "sci-gs", "lita-gs", "gaussian-dk", "ll-gaussian", "raw3dgs", "3dgs4ll", "oracle",
+          "gamma-gs")  # fmt: skip
 FIELDS = ("nerf", "raw-nerf", "aleth-nerf", "ll-nerf", "i2-nerf", "nerf-oracle")
 # Three need weights of others; one only warps pictures by the true surface, in numpy.
 LEFT_OUT = {"mbllen-gs", "uretinex-gs", "retinexformer-gs", "averaging"}
@@ -85,7 +86,8 @@ def test_a_field_of_a_problem_on_a_gpu_is_that_of_one_on_a_cpu_to_the_bit(seen, 
 @pytest.mark.parametrize("name", sorted({*METHODS} - {*COMPARED, *LEFT_OUT, "nerf"}))
 def test_every_method_trains(name, seen, monkeypatch) -> None:
     """A few iterations, without a tensor on the wrong device."""
-    few = {"fit.iterations": 3, "denoise.adapt.steps": 2, "enhance.steps": 2, "fit.mcmc.refine_every": 2}
+    few = {"fit.iterations": 3, "denoise.adapt.steps": 2, "enhance.steps": 2, "pretrain.steps": 2,
+           "fit.mcmc.refine_every": 2}  # fmt: skip
     method, config = short(name, **few)
     found, _, _ = on_gpu(method, config, seen, monkeypatch)
     assert found.losses[-1]["iteration"] == 3

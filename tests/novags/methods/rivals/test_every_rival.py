@@ -14,14 +14,15 @@ from novags.settings import changed
 from novags.splats import CameraRefinement
 from tests.novags.methods.rivals.short import SHORT
 
-RIVALS = ("luminance-gs", "gaussian-dk", "ll-gaussian", "lita-gs", "raw-gs")
+OF_RAW = ("raw-gs", "raw3dgs")
+RIVALS = ("luminance-gs", "gaussian-dk", "ll-gaussian", "lita-gs", *OF_RAW)
 
 
 @pytest.mark.parametrize("name", RIVALS)
 def test_a_stopped_run_ends_as_if_it_had_not_been(
     name: str, problem: Callable[..., Problem], dark: Callable[..., tuple[Problem, torch.Tensor]], tmp_path: Path
 ) -> None:
-    inputs, path = dark()[0] if name == "raw-gs" else problem(), tmp_path / "fit.safetensors"
+    inputs, path = dark()[0] if name in OF_RAW else problem(), tmp_path / "fit.safetensors"
     method = METHODS[name]
     config = changed(method.config(), {"fit": SHORT, "init_scale": 0.7}, what=name)
 
@@ -46,7 +47,7 @@ def test_a_stopped_run_ends_as_if_it_had_not_been(
 def test_refined_cameras_are_given_back_where_they_were_asked_for(
     name: str, problem: Callable[..., Problem], dark: Callable[..., tuple[Problem, torch.Tensor]]
 ) -> None:
-    inputs = dark()[0] if name == "raw-gs" else problem()
+    inputs = dark()[0] if name in OF_RAW else problem()
     method, refining = METHODS[name], replace(SHORT, refine_cameras=CameraRefinement(start=20))
     known, refined = (
         method.train(inputs, changed(method.config(), {"fit": fit, "init_scale": 0.7}, what=name)).viewmats

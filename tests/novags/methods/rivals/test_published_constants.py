@@ -15,6 +15,7 @@ PUBLISHED: dict[str, dict[str, Any]] = {
     },
     "lita-gs": {"prior_weight": 0.01, "exposure": 0.49, "denoiser_rate": 5e-5, "tone_rate": 1e-4},
     "raw-gs": {"epsilon": 1e-3},
+    "raw3dgs": {"epsilon": 1e-3, "noise_weight": None, "covariance_weight": 20.0, "extractor_rate": 1e-4},
     "raw-nerf": {"epsilon": 1e-3},
     "aleth-nerf": {"target": 0.45, "contrast": 12.0, "control": 1e-3, "structure": 1e-3, "grey": 1e-8},
     "ll-nerf": {"mean": 0.55, "exposure": 0.1, "grey": 0.1, "smooth": 0.1, "gamma": 0.01},
@@ -30,7 +31,7 @@ def test_a_rival_runs_with_its_published_constants(name: str) -> None:
     assert {key: getattr(config, key) for key in PUBLISHED[name]} == PUBLISHED[name]
 
 
-@pytest.mark.parametrize("name", ["luminance-gs", "lita-gs", "gaussian-dk", "ll-gaussian", "raw-gs"])
+@pytest.mark.parametrize("name", ["luminance-gs", "lita-gs", "gaussian-dk", "ll-gaussian", "raw-gs", "raw3dgs"])
 def test_gaussians_of_rivals_are_fitted_as_those_of_naive(name: str) -> None:
     """A fair fight: the same fit, with a share of 0.2 of SSIM, and features at Luminance-GS's rate of k and b."""
     config = METHODS[name].config()
