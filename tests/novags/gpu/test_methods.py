@@ -24,8 +24,8 @@ COMPARED = ("nova", "nova-fast", "nova-plus", "zero-dce-gs", "luminance-gs", "ra
 OTHERS = ("denoise-gs", "hdrsplat", "sci-gs", "lita-gs", "gaussian-dk", "ll-gaussian", "raw3dgs", "3dgs4ll", "oracle",
           "gamma-gs")  # fmt: skip
 FIELDS = ("nerf", "raw-nerf", "aleth-nerf", "ll-nerf", "i2-nerf", "nerf-oracle")
-# Three need weights of others; one only warps pictures by the true surface, in numpy.
-LEFT_OUT = {"mbllen-gs", "uretinex-gs", "retinexformer-gs", "averaging"}
+# Four need weights of others; one only warps pictures by the true surface, in numpy.
+LEFT_OUT = {"mbllen-gs", "uretinex-gs", "retinexformer-gs", "3dgs4ll-luma", "averaging"}
 
 
 @pytest.fixture

@@ -10,12 +10,18 @@ import torch
 
 from novags.methods import METHODS
 from novags.methods.problem import Problem
-from novags.settings import changed
-from novags.splats import CameraRefinement
+from novags.settings import changed, has_setting
+from novags.splats import CameraRefinement, FitConfig
 from tests.novags.methods.rivals.short import SHORT
 
 OF_RAW = ("raw-gs", "raw3dgs")
 RIVALS = ("luminance-gs", "gaussian-dk", "ll-gaussian", "lita-gs", *OF_RAW)
+
+
+def quick(name: str, fit: FitConfig = SHORT) -> Any:
+    """The configuration of a rival that consists of a short fit."""
+    config, settings = METHODS[name].config(), {"fit": fit, "init_scale": 0.7, "pretrain": None}
+    return changed(config, {key: value for key, value in settings.items() if has_setting(config, key)}, what=name)
 
 
 @pytest.mark.parametrize("name", RIVALS)
@@ -23,8 +29,7 @@ def test_a_stopped_run_ends_as_if_it_had_not_been(
     name: str, problem: Callable[..., Problem], dark: Callable[..., tuple[Problem, torch.Tensor]], tmp_path: Path
 ) -> None:
     inputs, path = dark()[0] if name in OF_RAW else problem(), tmp_path / "fit.safetensors"
-    method = METHODS[name]
-    config = changed(method.config(), {"fit": SHORT, "init_scale": 0.7}, what=name)
+    method, config = METHODS[name], quick(name)
 
     def train(**more: Any) -> Any:
         return method.train(inputs, config, **more)
@@ -49,10 +54,7 @@ def test_refined_cameras_are_given_back_where_they_were_asked_for(
 ) -> None:
     inputs = dark()[0] if name in OF_RAW else problem()
     method, refining = METHODS[name], replace(SHORT, refine_cameras=CameraRefinement(start=20))
-    known, refined = (
-        method.train(inputs, changed(method.config(), {"fit": fit, "init_scale": 0.7}, what=name)).viewmats
-        for fit in (SHORT, refining)
-    )
+    known, refined = (method.train(inputs, quick(name, fit)).viewmats for fit in (SHORT, refining))
     assert known is None
     assert refined is not None
     assert refined.shape == inputs.views.viewmats.shape
@@ -61,8 +63,7 @@ def test_refined_cameras_are_given_back_where_they_were_asked_for(
 
 
 def test_what_is_learned_beside_the_gaussians_starts_from_the_seed(problem: Callable[..., Problem]) -> None:
-    inputs, method = problem(), METHODS["luminance-gs"]
-    config = changed(method.config(), {"fit": SHORT, "init_scale": 0.7}, what="x")
+    inputs, method, config = problem(), METHODS["luminance-gs"], quick("luminance-gs")
     one, other = (method.train(replace(inputs, seed=seed), config).targets for seed in (0, 1))
     assert one is not None
     assert other is not None

@@ -8,6 +8,7 @@ from novags.methods import METHODS
 from novags.methods.denoised.config import DenoisedConfig
 from novags.methods.nova.config import NovaConfig
 from novags.methods.nova_plus.config import NovaPlusConfig
+from novags.methods.rivals.rows.raw3dgs import Raw3dgsConfig
 from novags.testbed.console import terminal as console
 from novags.testbed.console.time_left import TimeLeft
 
@@ -109,6 +110,8 @@ def test_the_parts_of_a_method_are_what_its_progress_counts(name: str) -> None:
     elif isinstance(config, NovaPlusConfig):  # 5, 5 and 1 twelfths; two seeds
         expected = dict.fromkeys(("likelihood", "structure"), 2 * round(iterations * 5 / 12))
         expected |= {"merged": round(iterations / 12), "denoiser": config.denoise.adapt.steps}
+    elif isinstance(config, Raw3dgsConfig):
+        expected["pretraining"] = config.pretrain.steps
     elif steps := getattr(getattr(config, "enhance", None), "steps", 0):  # of a network that learns from the scene
         expected["enhancer"] = steps
     assert method.parts(config) == expected
