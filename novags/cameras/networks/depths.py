@@ -21,8 +21,8 @@ from novags.cameras.settings import Known
 from simscenes.rigs import Rig
 
 HEADS_MISS = 10.0  # px of a prepared picture, of points that are as right as the network is
-# Between the cameras that a network is told and the cameras that it returns. Other conventions turn cameras by the angles
-# between views, or give focal lengths of the original pictures, or shares of a side.
+# Between the cameras that a network is told and the cameras that it returns. Other conventions turn cameras by the
+# angles between views, or give focal lengths of the original pictures, or shares of a side.
 LARGEST_TURN = 10.0  # degrees
 LARGEST_ZOOM = 1.25  # a factor
 
