@@ -180,7 +180,7 @@ def _scale(source: str, viewmats: Array, known: Array) -> float:
 def refuse_other_conventions(source: str, chosen: Index, depths: Array, viewmats: Array, Ks: Array) -> None:
     """Refuse cameras with which the depths of neighbouring views contradict each other, and not by other conventions.
 
-    For networks without points of their own, whose points are seen at their pixels with any cameras.
+    For networks without points of their own and for known cameras, which see points at their pixels whatever they are.
 
     Args:
         source: The camera source, for messages.
@@ -196,9 +196,9 @@ def refuse_other_conventions(source: str, chosen: Index, depths: Array, viewmats
     others = (inverted(viewmats), np.diag([1.0, -1, -1, 1]) @ viewmats)
     if min(_depths_apart(chosen, depths, other, Ks) for other in others) < own / 2:
         raise ValueError(
-            f"{source} returned cameras with which depths of neighbouring views differ by {own:.1%} (median), and by "
-            "less than half of that if they were camera-to-world or had OpenGL's axes: this version of the package has "
-            "other conventions than novags.cameras.networks"
+            f"{source} returned depths that differ between neighbouring views by {own:.1%} (median), and by less than "
+            "half of that if cameras were camera-to-world or had OpenGL's axes: this version of the package has other "
+            "conventions than novags.cameras.networks"
         )
 
 

@@ -171,7 +171,7 @@ def test_cameras_of_another_convention_are_refused_though_depths_scatter(shown, 
     Net.truth["extrinsics"] = torch.tensor(other[:, :3], dtype=torch.float32)[None]
     with pytest.raises(
         ValueError,
-        match=r"da3 returned cameras with which depths .* if they were camera-to-world .* has other conventions",
+        match=r"da3 returned depths .* if cameras were camera-to-world .* has other conventions",
     ):
         found(scene, config)
 
@@ -214,7 +214,9 @@ def test_depths_of_cameras_the_other_way_round_are_refused_where_cameras_are_kno
     wrong = answered(replace(scene, rig=replace(scene.rig, viewmats=inverse)), right.Ks, *size)
     Net.truth["depth"] = torch.tensor(wrong.depths).float()[None]
     Net.truth["extrinsics"] = torch.linalg.inv(torch.tensor(right.poses).float())[None]
-    with pytest.raises(ValueError, match=r"da3 returned cameras .* if they were camera-to-world .* other conventions"):
+    with pytest.raises(
+        ValueError, match=r"da3 returned depths .* if cameras were camera-to-world .* other conventions"
+    ):
         found(scene, replace(config, known="cameras"))
 
 

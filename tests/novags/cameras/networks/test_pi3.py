@@ -199,7 +199,7 @@ def test_a_package_that_takes_and_gives_cameras_the_other_way_round_is_refused(s
     seen = np.einsum("cij,chwj->chwi", right.poses[:, :3, :3], wrong.local) + right.poses[:, None, None, :3, 3]
     for key, value in (("local_points", wrong.local), ("points", seen)):
         Answering.said[key] = torch.tensor(value, dtype=torch.float32)[None]
-    with pytest.raises(ValueError, match=r"if they were camera-to-world .* has other conventions"):
+    with pytest.raises(ValueError, match=r"if cameras were camera-to-world .* has other conventions"):
         found(scene, config)
 
 

@@ -138,7 +138,7 @@ def test_cameras_of_another_convention_are_refused(shown, monkeypatch):
 
     module = sys.modules["vggt_omega.utils.pose_enc"]
     monkeypatch.setattr(module, "encoding_to_camera", inverse)
-    with pytest.raises(ValueError, match=r"if they were camera-to-world .* has other conventions"):
+    with pytest.raises(ValueError, match=r"if cameras were camera-to-world .* has other conventions"):
         found(scene, config)
     monkeypatch.setattr(module, "encoding_to_camera", lambda *given: encoding_to_camera(*given)[::-1])
     with pytest.raises(ValueError, match=r"vggt-omega returned viewmats \[3, 3, 3\], expected \[3, 3, 4\]"):
