@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from torch import Tensor
 
-from novags.methods.denoised.trainer import after_denoising, denoised_pictures
+from novags.methods.denoised.kept import after_denoising, denoised_pictures
 from novags.methods.enhanced.gaussian_fit import fit_for, reconstructed
 from novags.methods.enhancers import enhancement_record
 from novags.methods.enhancers.applying import enhanced, enhanced_light

@@ -8,7 +8,7 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from novags.methods.denoised import trainer
+from novags.methods.denoised import kept
 from novags.methods.denoised.config import AdaptConfig, DenoiseConfig, DenoisedConfig, parts
 from novags.methods.denoised.estimate import estimate_all
 from novags.methods.denoised.measured import measured
@@ -145,12 +145,12 @@ def test_denoised_pictures_are_others_with_any_other_input(
                  "noise": Variance(replace(curve, offset=tuple(4 * value for value in curve.offset)))},
         "noise": {"noise": Variance(replace(curve, offset=tuple(2 * value for value in curve.offset)))},
     }.get(what, {})  # fmt: skip
-    own = trainer._identity(pictures, CONFIG.denoise, 5)
-    assert torch.equal(own, trainer._identity(measured(problem), CONFIG.denoise, 5))
+    own = kept._identity(pictures, CONFIG.denoise, 5)
+    assert torch.equal(own, kept._identity(measured(problem), CONFIG.denoise, 5))
     if what == "weights":
-        monkeypatch.setattr(trainer, "read_bytes", lambda _: b"others")
+        monkeypatch.setattr(kept, "read_bytes", lambda _: b"others")
     config = replace(CONFIG.denoise, turns=1) if what == "settings" else CONFIG.denoise
-    other = trainer._identity(replace(pictures, **changed), config, 6 if what == "seed" else 5)
+    other = kept._identity(replace(pictures, **changed), config, 6 if what == "seed" else 5)
     assert not torch.equal(own, other)
 
 
