@@ -16,7 +16,7 @@ it is not public:
   noise. Where the publication pretrains on pairs of SID, it was trained on simulated cameras, and is then adapted to
   the capture on pairs that the known noise makes (`recorrupted`). It never sees a noise-free exposure of the capture.
 - The norm of the third term is Frobenius' squared, for each datum of a patch. Were it the mean over all d^2 entries,
-  the second term would win and n' vanish. Patches begin at every second pixel, where a mosaic has the same filter.
+  the second term would win, and most of n' vanish. Patches begin at every second pixel: a mosaic's under one filter.
 - s(r) is fixed as the denominator of the loss is. Its slope would darken the render as far as n' lacks variance.
 
 Left out: the distortion of the render by the lens, for all captures here are undistorted; a pattern of offsets pixel by
@@ -76,7 +76,8 @@ def decorrelation(planes: Tensor, patch: int) -> Tensor:
     side = min(patch, *planes.shape[1:])
     patches = F.unfold(planes[None], side, stride=EVERY)[0]
     covariance = patches @ patches.T / patches.shape[1]
-    return (torch.eye(len(patches)).to(covariance) - covariance).square().sum() / len(patches)
+    white = torch.eye(len(patches), device=planes.device, dtype=planes.dtype)
+    return (white - covariance).square().sum() / len(patches)
 
 
 class ExtractorLoss:
