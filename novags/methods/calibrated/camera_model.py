@@ -121,7 +121,7 @@ def read_calibration(path: Path | None) -> Calibration:
         ValueError: If the file cannot be read, or is not a calibration.
     """
     path = PACKAGED if path is None else path
-    with reading(path, "calibrate again by scripts/light/calibrate_lit.py"):
+    with reading(path, "calibrate again, by novags.methods.calibrated.calibrate"):
         found = parse_json(read_text(path), "the calibration")
         check_shape(found, SHAPE, "the calibration")
         if not (found["gain"] > 0 and found["gamma"] > 0):

@@ -20,7 +20,7 @@ class CalibratedConfig:
         pictures: Which pictures it sees.
         fit: Of the Gaussians; harmonics of degree 2, as published.
         init_scale: Of an initial Gaussian, in distances to its nearest neighbours.
-        calibration: A file by `scripts/light/calibrate_lit.py`; None: of `a7s2-iso6400-3chip` on `tabletop`.
+        calibration: A file that `calibrate` made; None: of `a7s2-iso6400-3chip` on `tabletop`.
     """
 
     pictures: Pictures = "8bit"

@@ -12,8 +12,8 @@ import torch
 from torch import Tensor
 
 from novags.methods.calibrated.camera_model import mean_of_nine, read_calibration
+from novags.methods.calibrated.fitting import fitted
 from novags.methods.calibrated.luma_row import LumaConfig
-from novags.methods.calibrated.trainer import fitted
 from novags.methods.enhancers import network_of
 from novags.methods.problem import Problem, gathered
 from novags.methods.reconstruction import Progress, Reconstruction

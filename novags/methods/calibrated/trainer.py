@@ -11,7 +11,6 @@ Differences from the publication: 100,000 random first points are those of the c
 it is the calibrated one. Five models are averaged for the challenge: `3dgs4ll*5` does that.
 """
 
-import dataclasses
 import time
 from collections.abc import Iterable
 from pathlib import Path
@@ -19,13 +18,10 @@ from pathlib import Path
 from torch import Tensor
 
 from novags.methods.calibrated.camera_model import CameraModel, amplified, read_calibration, smoothed
-from novags.methods.calibrated.config import AmplifiedConfig, CalibratedConfig
-from novags.methods.enhanced.gaussian_fit import fit_for, reconstructed
-from novags.methods.gaussian_scene import GaussianScene
+from novags.methods.calibrated.config import AmplifiedConfig
+from novags.methods.calibrated.fitting import fitted
 from novags.methods.problem import Problem, gathered
 from novags.methods.reconstruction import Progress, Reconstruction
-from novags.methods.start import start_gaussians
-from novags.splats.training.fit import fit
 from novags.splats.training.losses import photometric_loss
 from novags.splats.training.step import Step
 
@@ -72,21 +68,3 @@ def train(
     targets = amplified_targets(dark, config)
     loss = DarkLoss(read_calibration(config.calibration).to_dark, dark, config)
     return fitted(problem, config, dark, targets, loss, started, progress, checkpoint)
-
-
-def fitted(
-    problem: Problem, config: CalibratedConfig, dark: Tensor, targets: Tensor, loss: DarkLoss | None, started: float,
-    progress: Progress | None, checkpoint: Path | None,
-) -> Reconstruction:  # fmt: skip
-    """Gaussians of lit colours, fitted to targets [C, H, W, 3], by a loss of their own or the loss of 3DGS."""
-    config = dataclasses.replace(config, fit=fit_for(problem, config.fit))
-    start = start_gaussians(problem.start, dark, targets, sh_degree=config.fit.sh_degree, init_scale=config.init_scale)
-    result = fit(
-        start, problem.views, lambda i: targets[i], config.fit, photometric=loss, progress=progress,
-        checkpoint=checkpoint,
-    )  # fmt: skip
-    scene = GaussianScene.of(result.gaussians, config.fit)
-    found = {"calibrated_on": read_calibration(config.calibration).made}
-    return reconstructed(
-        result, config, scene, "lit", started, targets=targets, found=found, along=scene.along(result.kept)
-    )

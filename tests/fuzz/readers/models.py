@@ -133,9 +133,9 @@ def make_weights(folder: Path) -> None:
 
 
 def read_weights(folder: Path, file: Path) -> object:
-    from novags.cameras.networks.vggt import _load
+    from novags.cameras.networks.package import part, with_weights
 
-    return _load(file, "cpu").state_dict()
+    return with_weights(part("vggt", "vggt.models.vggt").VGGT(), file, "this VGGT", "cpu").state_dict()
 
 
 def make_enhancer(folder: Path) -> None:

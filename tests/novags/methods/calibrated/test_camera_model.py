@@ -124,7 +124,7 @@ def test_pictures_of_other_shapes_calibrate_nothing() -> None:
 def test_a_file_that_is_no_calibration_is_refused(key: str, value: Any, said: str, tmp_path: Path) -> None:
     path = tmp_path / "calibration.json"
     path.write_text(json.dumps({**json.loads(PACKAGED.read_text()), key: value}))
-    with pytest.raises(ValueError, match=f"{said}(?s:.)*calibrate again by scripts/light/calibrate_lit.py"):
+    with pytest.raises(ValueError, match=f"{said}(?s:.)*calibrate again, by novags.methods.calibrated.calibrate"):
         read_calibration(path)
 
 
