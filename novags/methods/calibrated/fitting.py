@@ -18,8 +18,8 @@ from novags.splats.training.step import Step
 
 
 def fitted(
-    problem: Problem, config: CalibratedConfig, dark: Tensor, targets: Tensor, loss: Callable[[Step, Tensor], Tensor] | None, started: float,
-    progress: Progress | None, checkpoint: Path | None,
+    problem: Problem, config: CalibratedConfig, dark: Tensor, targets: Tensor,
+    loss: Callable[[Step, Tensor], Tensor] | None, started: float, progress: Progress | None, checkpoint: Path | None,
 ) -> Reconstruction:  # fmt: skip
     """Gaussians of lit colours, fitted to targets [C, H, W, 3], by a loss of their own or the loss of 3DGS."""
     config = dataclasses.replace(config, fit=fit_for(problem, config.fit))
