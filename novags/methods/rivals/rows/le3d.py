@@ -97,5 +97,5 @@ METHOD = rival(
     "Gaussians close together along each ray",
     color="#c2185b",
     source="LE3D (Jin et al. 2024)",
-    memory=Memory(pictures=6.0, work=80.0),
+    memory=Memory(pictures=3.0, work=80.0),
 )
