@@ -31,7 +31,7 @@ MEASURED = {
     "nova": {SMALL: 0.99}, "nova-plus": {SMALL: 0.80}, "denoise-gs": {SMALL: 0.69, WHOLE: 3.42},
     "gaussian-dk": {SMALL: 0.68, QUARTER: 1.47}, "lita-gs": {SMALL: 0.75, QUARTER: 1.49, WHOLE: 3.26},
     "ll-gaussian": {SMALL: 0.65, QUARTER: 1.11, WHOLE: 2.31}, "raw-gs": {SMALL: 0.59, QUARTER: 1.28},
-    "raw3dgs": {SMALL: 0.71}, "le3d": {WHOLE: 2.86},
+    "raw3dgs": {SMALL: 0.71}, "le3d": {SMALL: 0.93, WHOLE: 2.86}, "hdrsplat": {SMALL: 0.66},
     "luminance-gs": {WHOLE: 2.12}, "nerf": {SMALL: 0.96, WHOLE: 2.07}, "aleth-nerf": {SMALL: 0.97},
     "i2-nerf": {SMALL: 0.98}, "ll-nerf": {SMALL: 1.14}, "averaging": {SMALL: 0.62, WHOLE: 2.84},
 }  # fmt: skip

@@ -101,13 +101,15 @@ class Le3dLoss:
         edges = bin_edges(depths[step.visible])
         if edges is None:
             return 0.0
-        small = SmallView(step, config.seen, config.fit)
-        bins = in_bins(depths, edges)
+        small, bins = SmallView(step, config.seen, config.fit), in_bins(depths, edges)
         histogram, _, info = small.splat(bins, "RGB")
+        loss = config.spread_weight * spread(histogram, edges)
+        if config.near_far_weight == 0:
+            return loss
         ends = first_and_last(info, small.width, small.height, config.ends)
         maps = (small.splat(bins, "ED", chosen) for chosen in ends)
         near, far = ((depth[..., 0] / unit, alpha) for depth, alpha, _ in maps)
-        return config.spread_weight * spread(histogram, edges) + config.near_far_weight * near_far(near, far)
+        return loss + config.near_far_weight * near_far(near, far)
 
 
 def train(

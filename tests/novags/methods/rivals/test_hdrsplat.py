@@ -146,6 +146,22 @@ def test_targets_lie_between_black_and_white(monkeypatch: pytest.MonkeyPatch) ->
         assert any(np.array_equal(target, view.clip(0, 1)) for view in light.numpy())
 
 
+def test_epsilon_and_the_weight_of_ssim_are_those_of_the_configuration(monkeypatch: pytest.MonkeyPatch) -> None:
+    inputs, _ = photographed("a7s2-iso6400-3chip")
+    monkeypatch.setattr(hdrsplat, "denoised_pictures", lambda *_: (inputs.linear16, 0.0))
+    short = changed(CONFIG, {"fit.iterations": 2}, what="x")
+    seen: list[tuple[float, float]] = []
+    compare = RelativeLoss.compare
+
+    def watched(self: RelativeLoss, image: np.ndarray, target: np.ndarray) -> tuple[np.float32, np.ndarray]:
+        seen.append((self.epsilon, self.dssim_weight))
+        return compare(self, image, target)
+
+    monkeypatch.setattr(RelativeLoss, "compare", watched)
+    train(inputs, changed(short, {"epsilon": 0.03, "fit.dssim_weight": 0.4}, what="x"))
+    assert seen == [(0.03, 0.4)] * 2
+
+
 def test_data_that_cannot_be_denoised_are_refused() -> None:
     inputs, _ = photographed("a7s2-iso6400-3chip")
     with pytest.raises(LacksInput, match="denoising needs the noise of the data"):

@@ -14,7 +14,7 @@ from novags.methods.rivals.le3d.ends import first_and_last
 from novags.methods.rivals.le3d.regularisers import BINS, bin_edges, near_far, opaque, spread
 from novags.methods.rivals.le3d.trainer import Le3dLoss
 from novags.methods.rivals.rows.le3d import Le3dConfig
-from novags.splats import FitConfig, Gaussians, Views
+from novags.splats import FitConfig, Gaussians, Views, rasterize
 from novags.splats.raster.raster_torch import project
 from novags.splats.training.step import Step, render_step
 
@@ -128,6 +128,19 @@ def test_the_ends_of_rays_are_those_of_lists_made_one_by_one(count: int) -> None
     assert set(first.nonzero()[:, 0].tolist()) == {i for ray in rays for i in ray[:count]}
     assert set(last.nonzero()[:, 0].tolist()) == {i for ray in rays for i in ray[-count:]}
     assert max(len(ray) for ray in rays) > 3 * count
+
+
+def test_nothing_is_met_behind_the_place_where_a_ray_stops() -> None:
+    """Half of the light is left, then five of 10,000; the third would leave too little, the fourth would not."""
+    means = torch.tensor([[0.0, 0, 2], [0, 0, 3], [0, 0, 4], [0, 0, 5]])
+    quats, scales = torch.tensor([1.0, 0, 0, 0]).repeat(4, 1), torch.full((4, 3), 9.0)
+    _, _, info = rasterize(
+        means, quats, scales, torch.tensor([0.5, 0.999, 0.99, 0.2]), torch.ones(4, 1), torch.eye(4)[None],
+        torch.tensor([[[40.0, 0, 8], [0, 40, 8], [0, 0, 1]]]), 16, 16, packed=False,
+    )  # fmt: skip
+    first, last = first_and_last(info, 16, 16, 1)
+    assert first.tolist() == [True, False, False, False]
+    assert last.tolist() == [False, True, False, False]
 
 
 def test_a_term_without_weight_and_an_empty_view_take_nothing() -> None:
