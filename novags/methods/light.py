@@ -127,13 +127,13 @@ def _of_grey(variance: Variance, zero: Tensor) -> NoiseCurve:
     )
 
 
-def brightness(data: MeasuredLight) -> float:
-    """Light that becomes a colour of 1.
+def brightness(light: Tensor) -> float:
+    """The bright light of pictures [C, H, W, 3], which becomes a colour of 1; nan is left out.
 
     Raises:
         ValueError: If it is not above black.
     """
-    greens = (view[..., 1] for view in data.light)  # one by one: places of all data take ten times their memory
+    greens = (view[..., 1] for view in light)  # one by one: places of all data take ten times their memory
     green = torch.cat([view[~view.isnan()] for view in greens])
     unit = float(torch.quantile(green[:: max(1, len(green) // 4_000_000)].double(), BRIGHT))
     if not unit > 0:

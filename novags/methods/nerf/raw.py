@@ -67,7 +67,7 @@ def first_unit(data: MeasuredLight) -> float:
 
     Where it begins brighter than the pictures, it becomes darker by becoming thinner, and loses the first surfaces.
     """
-    return max(data.mean(), DIMMEST * brightness(data))
+    return max(data.mean(), DIMMEST * brightness(data.light))
 
 
 def numbers_of(data: MeasuredLight, unit: float) -> dict[str, float]:

@@ -7,9 +7,10 @@ loss, w = 0.2, EPSILON, targets in 0..1, the four learning rates (`rows/hdrsplat
 its tuned runs ask for where its program has 2 by itself.
 
 Differences from the publication: The data are denoised by our network (`denoised`), which knows the noise of the camera
-and interpolates the mosaic too, where PMRID denoised a demosaiced picture. The fit is 3DGS-MCMC, as for all methods;
-100,000 further points in the box of the scene every 5,000 steps, an option there, belong to its densification and are
-left out.
+and interpolates the mosaic too, where PMRID denoised a demosaiced picture. Captures in which bright light is below 0.02
+of white are amplified to that, a number of ours: the learning rates are of brighter ones. The fit is 3DGS-MCMC, as for
+all methods; 100,000 further points in the box of the scene every 5,000 steps, an option there, belong to its
+densification and are left out.
 """
 
 import dataclasses
@@ -17,6 +18,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from novags.methods.denoised.kept import after_denoising, denoised_pictures
@@ -24,6 +26,7 @@ from novags.methods.enhanced.gaussian_fit import fit_for, reconstructed
 from novags.methods.enhancers import enhancement_record
 from novags.methods.enhancers.applying import enhanced, enhanced_light
 from novags.methods.gaussian_scene import GaussianScene
+from novags.methods.light import brightness
 from novags.methods.problem import Problem, gathered
 from novags.methods.reconstruction import Progress, Reconstruction
 from novags.methods.rivals.rows.hdrsplat import HdrsplatConfig
@@ -72,25 +75,27 @@ def train(
 
     Raises:
         LacksInput: If the noise of the data is not known, or not independent.
-        ValueError: As `Method.train` says.
+        ValueError: If the denoised pictures hold no light; and as `Method.train` says.
     """
     started = time.perf_counter()
     config = dataclasses.replace(config, fit=fit_for(problem, config.fit))
     light, earlier = denoised_pictures(problem, config, progress, checkpoint)
     denoising = earlier + time.perf_counter() - started
     started = time.perf_counter()
+    unit = min(1.0, brightness(light) / config.least_bright)
     start = start_gaussians(
-        problem.start, problem.srgb8, light, sh_degree=config.fit.sh_degree, init_scale=config.init_scale
-    )
+        problem.start, problem.srgb8, (view / unit for view in light), sh_degree=config.fit.sh_degree,
+        init_scale=config.init_scale,
+    )  # fmt: skip
     result = fit(
-        start, problem.views, lambda i: light[i].clamp(0, 1), config.fit,
+        start, problem.views, lambda i: (light[i] / unit).clamp(0, 1), config.fit,
         photometric=RelativeLoss(config.epsilon, config.fit.dssim_weight), checkpoint=checkpoint,
         progress=after_denoising(progress, config),
     )  # fmt: skip
-    scene = GaussianScene.of(result.gaussians, config.fit)
+    scene = dataclasses.replace(GaussianScene.of(result.gaussians, config.fit), matrix=unit * torch.eye(3))
     shown = gathered(enhanced_light(problem, light, config.enhance, config.pictures), light)
     made = reconstructed(
-        result, config, scene, "linear", started, along=scene.along(result.kept), targets=shown,
+        result, config, scene, "linear", started, found={"unit": unit}, along=scene.along(result.kept), targets=shown,
         enhancement=enhancement_record(config.enhance, config.pictures),
         enhanced=enhanced(problem, config.enhance, config.pictures),
     )  # fmt: skip

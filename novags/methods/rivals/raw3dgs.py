@@ -150,7 +150,7 @@ def train(
     refuse_uneven(problem.exposures, "a noise extractor")
     noise = noise_of(problem)
     data = problem_light(problem, noise, problem.channels_share + problem.pixels_share)
-    pictures, unit = in_electrons(data), brightness(data)
+    pictures, unit = in_electrons(data), brightness(data.light)
     colors = (first_light(problem.start, data) / unit).clamp(0, 1).to(data.light)
     network = pretrained(problem, config, pictures, progress, checkpoint)
     loss = ExtractorLoss(network, pictures, config, unit=unit, white=data.white)

@@ -78,7 +78,7 @@ def train(
     started = time.perf_counter()
     config = dataclasses.replace(config, fit=fit_for(problem, config.fit))
     data = problem_light(problem, noise_of(problem), problem.channels_share)
-    unit = brightness(data)
+    unit = brightness(data.light)
     start = _start(problem, data, unit, config)
     loss = RawLoss(data.white / unit, config.epsilon / unit)
     result = fit(

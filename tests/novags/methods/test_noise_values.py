@@ -217,10 +217,10 @@ def test_brightness_is_near_the_brightest_measured_green() -> None:
     light = torch.linspace(0, 1, 3000).reshape(1, 10, 100, 3)
     light[..., 0] = 50.0
     light[0, 0, 0, 1] = torch.nan
-    found = brightness(SimpleNamespace(light=light))  # type: ignore[arg-type]
+    found = brightness(light)
     assert 0.9 < found < 1.0
     with pytest.raises(ValueError, match="must be above black"):
-        brightness(SimpleNamespace(light=-light.abs()))  # type: ignore[arg-type]
+        brightness(-light.abs())
 
 
 @pytest.mark.parametrize("bend", [None, BEND])

@@ -127,7 +127,7 @@ def train(
     started = time.perf_counter()
     config = dataclasses.replace(config, fit=dataclasses.replace(fit_for(problem, config.fit), sh_degree=0))
     data = problem_light(problem, noise_of(problem), problem.channels_share)
-    unit = brightness(data)
+    unit = brightness(data.light)
     with torch.random.fork_rng([]):
         torch.manual_seed(problem.seed)
         network = ColourNetwork().to(data.light.device)

@@ -29,14 +29,19 @@ class HdrsplatConfig(DenoisedConfig):
         init_scale: Of an initial Gaussian, in distances to its nearest neighbours.
         fit: Of the Gaussians; `fit.dssim_weight` is w.
         epsilon: Of the loss, in units of white. Without it, black renders would be divided by zero.
+        least_bright: The light that bright pixels have at least, in units of white: darker captures are amplified to
+            it. Without it, a step of the learning rate of colours is larger than all light of such a capture.
     """
 
     fit: FitConfig = TUNED_FIT
     epsilon: float = 1e-3
+    least_bright: float = 0.02
 
     def __post_init__(self) -> None:
         if not self.epsilon > 0:
             raise ValueError(f"epsilon must be > 0 (black renders would be divided by zero), got {self.epsilon}")
+        if not 0 < self.least_bright <= 1:
+            raise ValueError(f"least_bright must lie in (0, 1], got {self.least_bright}")
 
 
 METHOD = rival(

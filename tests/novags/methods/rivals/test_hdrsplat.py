@@ -16,6 +16,7 @@ from novags.methods.denoised.denoiser import denoised
 from novags.methods.denoised.measured import measured
 from novags.methods.enhancers.applying import enhanced_light
 from novags.methods.inputs import LacksInput
+from novags.methods.light import BRIGHT
 from novags.methods.rivals import hdrsplat
 from novags.methods.rivals.hdrsplat import RelativeLoss, train
 from novags.methods.rivals.rows.hdrsplat import HdrsplatConfig
@@ -146,6 +147,29 @@ def test_targets_lie_between_black_and_white(monkeypatch: pytest.MonkeyPatch) ->
         assert any(np.array_equal(target, view.clip(0, 1)) for view in light.numpy())
 
 
+@pytest.mark.parametrize("share", [1.0, 1 / 64])
+def test_dark_captures_are_amplified_and_shown_in_their_own_light(
+    share: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    inputs, light = photographed("a7s2-iso6400-3chip")
+    bright = share * float(light[..., 1].double().flatten().quantile(BRIGHT))
+    monkeypatch.setattr(hdrsplat, "denoised_pictures", lambda *_: (share * light, 0.0))
+    seen: list[float] = []
+    compare = RelativeLoss.compare
+
+    def watched(self: RelativeLoss, image: np.ndarray, target: np.ndarray) -> tuple[np.float32, np.ndarray]:
+        seen.append(float(target.mean()))
+        return compare(self, image, target)
+
+    monkeypatch.setattr(RelativeLoss, "compare", watched)
+    result = train(inputs, changed(CONFIG, {"least_bright": 0.004}, what="x"))
+    unit = min(1.0, bright / 0.004)
+    assert (unit == 1) is (share == 1)
+    assert result.found == {"unit": pytest.approx(unit)}
+    assert np.mean(seen[-4:]) == pytest.approx(share / unit * float(light.mean()), rel=1e-3)  # one of each view
+    assert float(result.render(inputs.views)[0].mean() / (share * light.mean())) == pytest.approx(1, abs=0.1)
+
+
 def test_epsilon_and_the_weight_of_ssim_are_those_of_the_configuration(monkeypatch: pytest.MonkeyPatch) -> None:
     inputs, _ = photographed("a7s2-iso6400-3chip")
     monkeypatch.setattr(hdrsplat, "denoised_pictures", lambda *_: (inputs.linear16, 0.0))
@@ -168,3 +192,5 @@ def test_data_that_cannot_be_denoised_are_refused() -> None:
         train(dataclasses.replace(inputs, noise=None), CONFIG)
     with pytest.raises(ValueError, match=r"epsilon must be > 0 .* got 0"):
         HdrsplatConfig(epsilon=0)
+    with pytest.raises(ValueError, match=r"least_bright must lie in \(0, 1\], got 0"):
+        HdrsplatConfig(least_bright=0)

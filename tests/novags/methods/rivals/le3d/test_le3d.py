@@ -79,7 +79,7 @@ def test_refined_cameras_are_given_back() -> None:
 def start_of(inputs: Problem, config: Le3dConfig) -> tuple[Any, torch.Tensor]:
     """First Gaussians and their colours from the middle of the cameras, as light."""
     data = problem_light(inputs, noise_of(inputs), ())
-    network, unit = ColourNetwork().requires_grad_(False), brightness(data)
+    network, unit = ColourNetwork().requires_grad_(False), brightness(data.light)
     found = first_gaussians(inputs, data, unit, config, network)
     assert found.features is not None
     return found, unit * seen_from(
