@@ -152,8 +152,10 @@ def train(
     data = problem_light(problem, noise, problem.channels_share + problem.pixels_share)
     pictures, unit = in_electrons(data), brightness(data.light)
     colors = (first_light(problem.start, data) / unit).clamp(0, 1).to(data.light)
+    white, matrix = data.white, torch.eye(3) if data.matrix is None else data.matrix.cpu()
+    del data  # as many bytes as the pictures
     network = pretrained(problem, config, pictures, progress, checkpoint)
-    loss = ExtractorLoss(network, pictures, config, unit=unit, white=data.white)
+    loss = ExtractorLoss(network, pictures, config, unit=unit, white=white)
     companion = Companion(network=network, optimizer=torch.optim.Adam(network.parameters(), lr=config.extractor_rate))
     before, last = parts(config)["pretraining"], COOL_FROM * config.fit.iterations
 
@@ -171,7 +173,6 @@ def train(
         start, problem.views, pictures.electrons.__getitem__, config.fit, photometric=loss, companion=companion,
         before_step=cool, checkpoint=checkpoint, progress=report,
     )  # fmt: skip
-    matrix = torch.eye(3) if data.matrix is None else data.matrix.cpu()
     shown = GaussianScene.of(result.gaussians, config.fit)
     left, squares = _left(loss, shown, dataclasses.replace(problem.views, viewmats=result.viewmats))
     scene = dataclasses.replace(shown, matrix=unit * matrix)

@@ -78,7 +78,7 @@ METHOD = Method(
     train=Later("novags.methods.rivals.raw3dgs:train"),
     parts=parts,
     source="Raw3DGS (Li et al. 2024, From Chaos to Clarity)",
-    memory=Memory(fixed=0.62e9, pictures=5.0, work=150.0),
+    memory=Memory(fixed=0.62e9, pictures=4.0, work=90.0),
 )
 
 NO_COVARIANCE = Variant(
