@@ -139,7 +139,7 @@ def test_what_is_said_is_what_was_measured(name: str) -> None:
 
 
 @pytest.mark.usefixtures("without_cuda")
-@pytest.mark.parametrize("name", (*METHODS, *VARIANTS))
+@pytest.mark.parametrize("name", [*METHODS, *VARIANTS])
 def test_fifty_views_of_a_megapixel_are_expected_to_fit_into_four_gibibytes(name: str) -> None:
     config = adapted(EXPERIMENTS["demo"], methods=(name,)).reconstruct(name)
     assert METHODS[config.variant.method].memory(config.config, 44, 1e6, 100_000) < 4 * 2**30
