@@ -1,8 +1,8 @@
-"""Train MBLLEN, URetinex-Net or Retinexformer on simulated pairs.
+"""Train MBLLEN, URetinex-Net, Retinexformer or Naka-GS's correction on simulated pairs.
 
     python scripts/train_enhancer.py mbllen --sets SETS/* --steps 20000 --out mbllen.safetensors
 
-One recipe for the three: pictures as for scripts/train_denoiser.py, photographed by `sensor_model` with cameras drawn
+One recipe for all: pictures as for scripts/train_denoiser.py, photographed by `sensor_model` with cameras drawn
 at random at 0.2 to 8 % of white and developed to 8 bits; what the network makes of one is to be the same picture
 without noise at middle grey. The loss is L1 plus half of 1 - SSIM. An interrupted run continues from its checkpoint,
 with the same options; --steps may change before the rate falls. At the end it says what the network makes of pictures
@@ -33,7 +33,7 @@ from novags.methods.enhancers.rows.gain import GainConfig
 from novags.splats.files.tensors import write_tensors
 from novags.splats.training.losses import ssim
 
-NAMES = ("mbllen", "uretinex", "retinexformer")
+NAMES = ("mbllen", "uretinex", "retinexformer", "naka-net")
 SAID, SAVED = 30.0, 120.0  # s between two lines of progress, and between two checkpoints
 
 

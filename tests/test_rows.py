@@ -100,8 +100,8 @@ def test_an_enhancer_names_functions_that_exist(name: str) -> None:
 
 def test_only_networks_have_a_kind() -> None:
     found = {name: row.network() for name, row in ENHANCERS.items() if row.network is not None}
-    assert list(found) == ["zero-dce", "sci", "mbllen", "uretinex", "retinexformer"]
-    assert {kind.name for kind in found.values()} == {"Zero-DCE", "SCI", "MBLLEN", "URetinex-Net", "Retinexformer"}
+    assert list(found) == ["zero-dce", "sci", "mbllen", "uretinex", "retinexformer", "naka-net"]
+    assert {kind.name for kind in found.values()} == {*"Zero-DCE SCI MBLLEN URetinex-Net Retinexformer Naka-GS".split()}
 
 
 def test_every_text_of_a_table_names_something() -> None:

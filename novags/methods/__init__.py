@@ -25,6 +25,7 @@ METHODS: Registry[Method] = Registry(
         "mbllen-gs": "novags.methods.enhancers.networks.rows.mbllen:METHOD",
         "uretinex-gs": "novags.methods.enhancers.networks.rows.uretinex:METHOD",
         "retinexformer-gs": "novags.methods.enhancers.networks.rows.retinexformer:METHOD",
+        "naka-net-gs": "novags.methods.enhancers.networks.rows.naka_net:METHOD",
         "denoise-gs": "novags.methods.denoised.row:METHOD",
         "luminance-gs": "novags.methods.rivals.rows.luminance_gs:METHOD",
         "lita-gs": "novags.methods.rivals.rows.lita_gs:METHOD",

@@ -30,6 +30,7 @@ ENHANCERS: Registry[Enhancer] = Registry(
         "mbllen": "novags.methods.enhancers.networks.rows.mbllen:ENHANCER",
         "uretinex": "novags.methods.enhancers.networks.rows.uretinex:ENHANCER",
         "retinexformer": "novags.methods.enhancers.networks.rows.retinexformer:ENHANCER",
+        "naka-net": "novags.methods.enhancers.networks.rows.naka_net:ENHANCER",
         "none": "novags.methods.enhancers.rows.none:ENHANCER",
     },
     "novags.enhancers",

@@ -25,7 +25,7 @@ OTHERS = ("denoise-gs", "hdrsplat", "sci-gs", "lita-gs", "gaussian-dk", "ll-gaus
           "gamma-gs")  # fmt: skip
 FIELDS = ("nerf", "raw-nerf", "aleth-nerf", "ll-nerf", "i2-nerf", "nerf-oracle")
 # Four need weights of others; one only warps pictures by the true surface, in numpy.
-LEFT_OUT = {"mbllen-gs", "uretinex-gs", "retinexformer-gs", "3dgs4ll-luma", "averaging"}
+LEFT_OUT = {"mbllen-gs", "uretinex-gs", "retinexformer-gs", "naka-net-gs", "3dgs4ll-luma", "averaging"}
 
 
 @pytest.fixture

@@ -28,7 +28,7 @@ from novags.methods.noise import Variance, camera_noise
 from novags.methods.problem import Problem, RawPictures
 from novags.methods.rivals.raw3dgs import ExtractorLoss, decorrelation, likelihood, train
 from novags.methods.rivals.rows.raw3dgs import METHOD, Raw3dgsConfig, parts
-from novags.splats import FitConfig, Gaussians, LearningRates, Views, rasterize
+from novags.splats import CameraRefinement, FitConfig, Gaussians, LearningRates, Views, rasterize
 from sensor_model import PRESETS, Exposure, NoiseCurve, expose, linear_to_srgb
 from sensor_model.isp import white_balance
 from sensor_model.mosaicking import channel_index, mosaic
@@ -312,6 +312,17 @@ def test_targets_are_the_data_without_the_noise_through_the_enhancement(dark: An
     shown = list(enhanced_light(inputs, left, SMALL.enhance, SMALL.pictures))
     torch.testing.assert_close(result.targets, torch.stack(shown))
     assert float((left - light).square().mean()) < 0.5 * float((inputs.linear16 - light).square().mean())
+
+
+def test_what_is_left_of_the_noise_is_told_by_the_refined_cameras(monkeypatch: pytest.MonkeyPatch) -> None:
+    inputs, _ = exposed(None)
+    seen, left = list[Views](), module._left
+    monkeypatch.setattr(module, "_left", lambda loss, scene, views: seen.append(views) or left(loss, scene, views))
+    fit = dataclasses.replace(SMALL.fit, iterations=20, refine_cameras=CameraRefinement(start=2))
+    found = train(inputs, dataclasses.replace(SMALL, fit=fit)).viewmats
+    assert found is not None
+    assert torch.equal(seen[0].viewmats, found)
+    assert not torch.equal(found, inputs.views.viewmats)
 
 
 def test_an_interruption_in_the_pretraining_changes_nothing(dark: Any, tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ def test_seeds_scenes_and_costs_are_of_all_entries(monkeypatch: pytest.MonkeyPat
         return SimpleNamespace(facts=lambda: {"kind": kind, "seed": seed, "scene": scene, "split": split, "cost": cost})
 
     entries = [
-        entry("set", 7, "a", "train", 1.0, 10), entry("set", 5, "b", "test", 2.0, 40),
+        entry("set", 7, "a", "train", 1.0, 40), entry("set", 5, "b", "test", 2.0, 10),
         entry("capture", 3, "a", "train", 4.0, 20), entry("capture", 1, "b", "test", 8.0, 30),
     ]  # fmt: skip
     config: Any = SimpleNamespace(name="n", version="1", licence="l", description="d", creators=("c", "e"))

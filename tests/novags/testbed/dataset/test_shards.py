@@ -49,6 +49,15 @@ def test_every_view_is_in_one_shard_of_its_split_with_all_its_files(
         assert own == []
 
 
+def test_a_capture_of_one_view_has_a_shard_too(finished: Any, tmp_path: Path) -> None:
+    out = shutil.copytree(finished.out, tmp_path / "data", ignore=shutil.ignore_patterns("shards"))
+    views = list(views_of(entries_of(finished.plan, finished.store, {"tabletop:1": "train", "cornell": "val"}), out))
+    alone = [views[0], *(view for view in views if view.row["split"] == "val")]
+    assert write_shards(alone, out, 1e9, sums(out)) == ["shards/train-000000.tar", "shards/val-000000.tar"]
+    with tarfile.open(out / "shards/train-000000.tar") as tar:
+        assert {name.partition(".")[0] for name in tar.getnames()} == {"000000-00000"}
+
+
 def test_a_shard_is_written_again_when_any_of_its_files_has_changed(finished: Any, tmp_path: Path) -> None:
     out = shutil.copytree(finished.out, tmp_path / "data")
     views = list(views_of(entries_of(finished.plan, finished.store, {"tabletop:1": "train", "cornell": "val"}), out))

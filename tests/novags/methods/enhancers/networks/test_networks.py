@@ -94,7 +94,7 @@ def test_a_loss_that_is_not_finite_stops_with_a_line():
         learned(ZERO_DCE, TINY, torch.full((1, 8, 8, 3), float("nan")), 0)
 
 
-@pytest.mark.parametrize("name", ["mbllen", "uretinex", "retinexformer"])
+@pytest.mark.parametrize("name", ["mbllen", "uretinex", "retinexformer", "naka-net"])
 def test_networks_that_need_pairs_say_where_weights_come_from(name):
     config = ENHANCERS[name].config()
     assert parts(fitted(config)) == {"fit": 2}

@@ -8,7 +8,7 @@ from novags.methods.enhancers.files.weights import read_weights
 from novags.methods.enhancers.networks import sci as part
 from novags.methods.enhancers.networks.rehearsal import learned
 from novags.methods.enhancers.networks.rows.sci import SciConfig
-from novags.methods.enhancers.networks.sci import SCI, Illumination, Sci
+from novags.methods.enhancers.networks.sci import SCI, Calibrator, Illumination, Sci
 
 
 def network(seed: int = 0) -> Sci:
@@ -158,6 +158,16 @@ def test_every_block_adds_to_what_the_ones_before_it_made():
     for _ in range(3):
         seen = seen + network.conv(seen)
     torch.testing.assert_close(network.added(picture), network.out_conv(seen))
+
+
+def test_the_calibrator_goes_through_its_block_three_times() -> None:
+    torch.manual_seed(4)
+    network = Calibrator(width=4).eval()
+    picture = torch.rand(1, 3, 6, 5)
+    seen = network.in_conv(picture)
+    for _ in range(3):
+        seen = seen + network.convs(seen)
+    torch.testing.assert_close(network(picture), picture - network.out_conv(seen))
 
 
 def test_each_block_of_the_illumination_is_added() -> None:

@@ -70,10 +70,35 @@ def test_a_stopped_run_ends_as_if_it_had_not_been(camera: Camera, tmp_path: Path
 def test_refined_cameras_are_given_back() -> None:
     inputs, _ = photographed("a7s2-iso6400-3chip")
     refining = changed(CONFIG, {"fit.iterations": 30, "fit.refine_cameras": CameraRefinement(start=5)}, what="x")
-    found = train(inputs, refining).viewmats
+    result = train(inputs, refining)
+    found = result.viewmats
     assert found is not None
     assert not torch.equal(found, inputs.views.viewmats)
     assert torch.allclose(found, inputs.views.viewmats, atol=0.2)
+    # plain viewers show the colours seen from the middle of these cameras
+    scene = result.scene
+    assert isinstance(scene, ColourScene)
+    again = [ColourScene.of(dataclasses.replace(scene.base, gaussians=dataclasses.replace(
+        scene.base.gaussians, sh=scene.bias[:, None], features=scene.features)), scene.network,
+        dataclasses.replace(inputs.views, viewmats=viewmats).centers.mean(0)).base.gaussians.sh
+        for viewmats in (found, inputs.views.viewmats)]  # fmt: skip
+    assert torch.equal(scene.base.gaussians.sh, again[0])
+    assert not torch.equal(again[0], again[1])
+
+
+def test_the_seed_chooses_the_first_network() -> None:
+    inputs, _ = photographed("a7s2-iso6400-3chip")
+    short = changed(CONFIG, {"fit.iterations": 1, "network_rate": 1e-9}, what="x")
+    first = []
+    for seed in (0, 0, 2):
+        scene = train(dataclasses.replace(inputs, seed=seed), short).scene
+        assert isinstance(scene, ColourScene)
+        first.append(torch.cat([value.flatten() for value in scene.network.state_dict().values()]))
+    assert torch.equal(first[0], first[1])
+    torch.manual_seed(0)
+    wanted = torch.cat([value.flatten() for value in ColourNetwork().state_dict().values()])
+    torch.testing.assert_close(first[0], wanted, rtol=0, atol=1e-6)
+    assert float((first[0] - first[2]).abs().max()) > 1e-2
 
 
 def start_of(inputs: Problem, config: Le3dConfig) -> tuple[Any, torch.Tensor]:
