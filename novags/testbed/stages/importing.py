@@ -208,11 +208,11 @@ def _say(dark: Dark, darkroom: Darkroom, config: ImportConfig, match: Match | No
     for doubt in dark.source.picture_doubts(lambda i: darkroom.srgb8(dark.files[i], i)):
         console.warn(f"{dark.source.views.path}: {doubt}")
     if dark.depth == "16bit":
-        curve = config.codes.of(dark.dark_files[0]).curve
-        says = ", as the files say" if config.curve == "auto" and curve != "linear" else ""
+        curves = dict.fromkeys(config.codes.of(file).curve for file in dark.dark_files)
+        says = ", as the files say" if config.curve == "auto" and {*curves} != {"linear"} else ""
         console.note(
-            f"import: 16-bit files: code {config.black:g} is black, {config.white:g} white, {curve} in between{says} "
-            "(--black, --white, --curve)"
+            f"import: 16-bit files: code {config.black:g} is black, {config.white:g} white, {' or '.join(curves)} in "
+            f"between{says} (--black, --white, --curve)"
         )
         _say_spaced(dark.dark_files[0], console)
     if darkroom.resampled and (dark.raws or config.camera):
