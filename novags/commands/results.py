@@ -1,4 +1,4 @@
-"""The commands about existing results: score, explain, report, characterise."""
+"""The commands about existing results: score, explain, verify, report, characterise."""
 
 import os
 from collections.abc import Mapping
@@ -10,6 +10,8 @@ from novags.commands.shared import announce, next_, say, typed, writing
 from novags.options import Folder, Folders
 
 _Reference = Literal["lit", "linear", "clean", "linear_demosaiced", "clean_demosaiced"]
+
+DIFFERS = 3  # exit code: something made again is not what it was
 
 _Swap = Literal["cameras", "points", "noise", "tone", "geometry", "colours", "length", "views"]
 
@@ -136,6 +138,42 @@ def explain(
         planned(console, "explain", ladder.made(cases))
         say("\n".join(ladder.explain(cases, asked, console).lines()))
         next_(f"novags report {' '.join(typed(run) for run in runs)}")
+
+
+def verify(
+    runs: Folders, *, out: Path, count: int = 3, seed: int = 0, wait: bool = False, dry_run: bool = False
+) -> None:  # fmt: skip
+    """Make some of somebody's runs again from their records, stage by stage, and say what differs.
+
+    Sets, captures, runs and scores are each made from the inputs that the record names, so that a difference is of this
+    stage alone. Exit code 3: something differs, or could not be made again.
+
+    Args:
+        runs: Folders of runs, of experiments, of studies, or folders that hold such.
+        out: Folder for what is made again, and for verify.json. What is there is kept.
+        count: How many runs, drawn from all of them.
+        seed: Of the draw.
+        wait: If another process is writing to `out`, wait until it is done instead of refusing.
+        dry_run: Only say which runs would be made again, and about how long they took. Nothing is written.
+    """
+    from novags.numbers import check_range
+    from novags.settings import check_seed
+    from novags.testbed.ledger.dry import planned
+    from novags.testbed.stages.explaining.verifying import RECORD, chosen_runs
+    from novags.testbed.stages.explaining.verifying import verify as make_again
+    from novags.testbed.study.engines.progress import duration
+
+    check_range("count", count, 1, 100_000)
+    check_seed(seed)
+    with writing(out, wait, dry_run=dry_run) as console:
+        chosen = chosen_runs(runs, count, seed)
+        for name, run in chosen.items():
+            console.note(f"verify: {name} in {run.path}: its fit took {duration(run.record['stage']['seconds'])}")
+        planned(console, "verify", [out / RECORD])
+        parts = make_again(chosen, out, console)
+        say("\n".join(part.line() for part in parts))
+        if not all(part.same for part in parts):
+            raise SystemExit(DIFFERS)
 
 
 def export_results(

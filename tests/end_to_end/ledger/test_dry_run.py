@@ -141,6 +141,8 @@ LINES = (
          *made("new/scores.json", by="score")),
     Line(("explain", "exp/naive", "--swaps", "noise"),
          ("explain: 1 runs to make", *made("exp/naive/explain/explain.json", by="explain")[0])),
+    Line(("verify", "exp", "--out", "new"),
+         ("verify: naive in ", *made("new/verify.json", by="verify")[0])),
     Line(("compare", "naive", "naive-l1", "--captures", "capture", "--seeds", "0", "--out", "new", *SHORT),
          ("compare: 1 pairs of fits",
           *made("new/base", "new/changed", "new/logs", "new/compare.json", "new/compare.csv", by="compare")[0])),

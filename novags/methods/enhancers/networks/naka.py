@@ -101,7 +101,7 @@ class Correction(nn.Module):
 
     def __init__(self, half: float, width: int = WIDTH) -> None:
         super().__init__()
-        self.half = half
+        self.code_of_half = half  # `half` is a method of modules
         self.stem = Convolved(18, width)
         self.down1, self.down2, self.down3 = (
             Down(width, width, 2),
@@ -117,7 +117,7 @@ class Correction(nn.Module):
 
     def forward(self, dark: Tensor) -> Tensor:
         """dark: [B, 3, H, W], code in 0..1 -> the same shape; not limited to 0..1."""
-        raised = response(dark, self.half)
+        raised = response(dark, self.code_of_half)
         seen = [dark, raised, raised - dark]
         x = self.stem(torch.cat([*seen, *map(even, seen)], 1))
         kept = []
@@ -125,8 +125,8 @@ class Correction(nn.Module):
             found, x = level(x)
             kept.append(found)
         x = self.bottleneck(x)
-        for level, beside in zip((self.up3, self.up2, self.up1), reversed(kept), strict=True):
-            x = level(x, beside)
+        for up, beside in zip((self.up3, self.up2, self.up1), reversed(kept), strict=True):
+            x = up(x, beside)
         x = self.fuse(x)
         factor, summand = 1 + FACTOR * self.mul_head(x).tanh(), SUMMAND * self.add_head(x).tanh()
         smooth = blurred(raised)

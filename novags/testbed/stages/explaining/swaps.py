@@ -73,7 +73,10 @@ class Case:
         asked = run.record["stage"]["config"]
         try:
             config = changed(method.config(), dotted(asked["config"]), what=run.name)
-            variant = Variant(name=run.name, method=run.method, settings=run.record["variant"])
+            variant = Variant(
+                name=run.name, method=run.method, settings=run.record["variant"], fits=asked.get("fits", 1),
+                title=run.record["title"].removesuffix(f" (from {METHODS.origin_of(run.method)})"),
+            )  # fmt: skip
             found = ReconstructConfig(
                 variant=variant, config=config, cameras=parse_cameras(asked["cameras"]), points=asked["points"],
                 seed=asked["seed"], hold_out=asked.get("hold_out", 0),

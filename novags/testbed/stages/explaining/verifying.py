@@ -1,0 +1,173 @@
+"""Verify: some runs made again from their own records, stage by stage, and what differs.
+
+OUT/
+verify.json                        what was made again, and what differs
+NAME/set  NAME/capture  NAME/run   of each run: its stages, each made from the inputs that the run's own stage had
+
+So a difference is of this stage alone, by another code, library or processor. Checksums of the inputs are compared with
+their records before.
+"""
+
+import random
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from novags.methods.variant import dotted
+from novags.settings import changed
+from novags.testbed.console.terminal import Console
+from novags.testbed.folders.capture import Capture
+from novags.testbed.folders.run import Run
+from novags.testbed.folders.runs import runs_in
+from novags.testbed.folders.set import Source
+from novags.testbed.ledger.contents import jsonable, write_json
+from novags.testbed.ledger.difference import flat
+from novags.testbed.stages.capturing import capture as take
+from novags.testbed.stages.configs.capturing import CaptureConfig
+from novags.testbed.stages.configs.rendering import RenderConfig
+from novags.testbed.stages.explaining.swaps import Case, NotSwapped
+from novags.testbed.stages.reconstructing import reconstruct
+from novags.testbed.stages.rendering import render
+from novags.testbed.stages.scores.scoring import score
+from sensor_model.presets import PRESETS
+from simscenes.scenes import SCENES
+from simscenes.sets.names import safe_name
+
+RECORD = "verify.json"
+SHOWN = 3  # files that one line can hold
+
+
+@dataclass(frozen=True)
+class Verified:
+    """A stage of a run, made again.
+
+    Attributes:
+        run: Name of the run.
+        stage: "set", "capture", "run" or "scores".
+        parts: How many files it has, or scores.
+        differ: Those with another content, or another value by more than rounding of their text.
+        largest: Of scores in dB, the largest difference; None for files.
+        why_not: Why it was not made again.
+    """
+
+    run: str
+    stage: str
+    parts: int = 0
+    differ: tuple[str, ...] = ()
+    largest: float | None = None
+    why_not: str = ""
+
+    @property
+    def same(self) -> bool:
+        """Whether it was made again, and is what it was."""
+        return not self.why_not and not self.differ
+
+    def line(self) -> str:
+        """For a terminal."""
+        if self.why_not:
+            return f"{self.run}: {self.stage}: not made again: {self.why_not}"
+        things = "scores" if self.stage == "scores" else "files"
+        if not self.differ:
+            return f"{self.run}: {self.stage}: all {self.parts} {things} are the same"
+        more = len(self.differ) - SHOWN
+        names = ", ".join([*self.differ[:SHOWN], *([f"{more} more"] if more > 0 else [])])
+        most = "" if self.largest is None else f", by {self.largest:.3g} dB at most"
+        return f"{self.run}: {self.stage}: {len(self.differ)} of {self.parts} {things} differ{most}: {names}"
+
+
+def chosen_runs(folders: Sequence[Path], count: int, seed: int) -> dict[str, Run]:
+    """So many runs of these folders, drawn by the seed, in the order in which they lie there; all if there are fewer.
+
+    Raises:
+        ValueError: If the folders hold no finished run.
+    """
+    every = runs_in(folders)
+    drawn = set(random.Random(seed).sample(sorted(every), min(count, len(every))))
+    return {name: run for name, run in every.items() if name in drawn}
+
+
+def verify(runs: Mapping[str, Run], out: Path, console: Console) -> list[Verified]:
+    """Make these runs again below `out`; writes `RECORD`.
+
+    Raises:
+        ValueError: If a run, its capture or its set cannot be read or have changed since they were recorded.
+    """
+    found = [part for name, run in runs.items() for part in _stages(name, run, out / safe_name(name), console)]
+    write_json(out / RECORD, {"parts": [asdict(part) for part in found]})
+    return found
+
+
+def _stages(name: str, run: Run, folder: Path, console: Console) -> Iterator[Verified]:
+    scores = run.scores()
+    capture, source = run.inputs(console)
+    case = Case(run, capture, source, scores or {})
+
+    def again(stage: str, before: Mapping[str, Any], make: Callable[[Path], Mapping[str, Any]]) -> Verified:
+        try:
+            new, old = make(folder / stage)["stage"]["files"], before["files"]
+        except NotSwapped as why:
+            return Verified(name, stage, why_not=str(why))
+        differ = sorted(each for each in {*old, *new} if old.get(each) != new.get(each))
+        return Verified(name, stage, len({*old, *new}), tuple(differ))
+
+    yield again("set", source.views.meta.get("stage", {}), lambda at: _rendered(source, at, console))
+    yield again("capture", capture.record.stage, lambda at: _taken(capture, source, at, console))
+    fit = again(
+        "run", run.record["stage"], lambda at: reconstruct(capture.path, at, case.config, console, overwrite=True)
+    )
+    yield fit
+    if fit.why_not or scores is None:
+        yield Verified(name, "scores", why_not=fit.why_not or "the run has none")
+    else:
+        yield _compared(name, scores, score(folder / "run", console)["methods"][run.name])
+
+
+def _rendered(source: Source, folder: Path, console: Console) -> dict[str, Any]:
+    """The set, rendered again."""
+    asked = source.views.meta.get("stage", {}).get("config", {})
+    scene = str(asked.get("scene", ""))
+    if source.views.kind != "rendered" or scene.partition(":")[0] not in SCENES:
+        raise NotSwapped("it shows no scene of the catalogue")
+    settings = {key: value for key, value in dotted(asked).items() if key != "scene"}
+    config = _as_recorded(lambda: changed(RenderConfig(scene=scene), settings), asked)
+    return render(folder, config, console, overwrite=True)
+
+
+def _taken(capture: Capture, source: Source, folder: Path, console: Console) -> dict[str, Any]:
+    """The capture, taken again."""
+    asked = capture.record.stage["config"]
+    if capture.imported:
+        raise NotSwapped("it holds photographs")
+    if capture.record.sensor_name not in PRESETS or "dark_frames" in asked:
+        raise NotSwapped("its camera is none of the catalogue, or it has dark frames")
+    own = {each.name for each in fields(CaptureConfig) if each.init} - {"sensor"}
+    settings = {key: value for key, value in asked.items() if key in own}
+    config = _as_recorded(lambda: changed(CaptureConfig(sensor=asked["sensor"]), settings), asked)
+    return take(source.views.path, folder, config, console, overwrite=True)
+
+
+def _as_recorded(make: Callable[[], Any], asked: Mapping[str, Any]) -> Any:
+    """The settings of a stage that its record holds.
+
+    Raises:
+        NotSwapped: If this version does not have them.
+    """
+    try:
+        config = make()
+    except (ValueError, KeyError) as error:
+        raise NotSwapped(f"this version cannot make it again: {error}") from error
+    if jsonable(config.resolved()) != asked:
+        raise NotSwapped("this version does not make it again as it was made")
+    return config
+
+
+def _compared(name: str, before: Mapping[str, Any], after: Mapping[str, Any]) -> Verified:
+    """The mean scores of both."""
+    old, new = (
+        {key: value for key, value in flat(scores["mean"]).items() if isinstance(value, float)}
+        for scores in (before, after)
+    )
+    differ = {key for key in {*old, *new} if old.get(key) != new.get(key)}
+    decibels = [abs(old[key] - new[key]) for key in differ & old.keys() & new.keys() if key.endswith("psnr")]
+    return Verified(name, "scores", len({*old, *new}), tuple(sorted(differ)), max(decibels, default=0.0))
