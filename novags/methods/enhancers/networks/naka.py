@@ -2,7 +2,7 @@
 
 The response of `curves/naka.py` raises the picture; a U-Net of three levels sees both pictures and their difference,
 each also with mean 0 and deviation 1, and gives a factor and a summand of every pixel. They correct the blurred part of
-the raised picture alone: what differs from the blur is added again as it was. Widths, ranges and layers are as
+the raised picture alone: its details are added again unchanged. Widths, ranges and layers are as
 published, and the layers have the names of the authors' code (Apache-2.0), so that their files fit.
 
 Deviations: it learns from pairs of our cameras by our loss, as the published loss compares features of VGG-19, whose

@@ -1,8 +1,8 @@
 """Verify: some runs made again from their own records, stage by stage, and what differs.
 
 OUT/
-verify.json                        what was made again, and what differs
-NAME/set  NAME/capture  NAME/run   of each run: its stages, each made from the inputs that the run's own stage had
+verify.json                        the stages that were made again, and their differences
+NAME/set  NAME/capture  NAME/run   the stages of each run, each made from the inputs of the first time
 
 So a difference is of this stage alone, by another code, library or processor. Checksums of the inputs are compared with
 their records before.
