@@ -1,4 +1,4 @@
-"""Naka-GS's tone mapping and the network that corrects it (Zhu et al. 2026, arXiv 2604.11142).
+"""Naka-GS's tone mapping and the network that corrects it (arXiv 2604.11142).
 
 The response of `curves/naka.py` raises the picture; a U-Net of three levels sees both pictures and their difference,
 each also with mean 0 and deviation 1, and gives a factor and a summand of every pixel. They correct the blurred part of
