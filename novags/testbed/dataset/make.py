@@ -67,8 +67,7 @@ def publish(plan: StudyPlan, config: DatasetConfig, store: Path, out: Path, cons
             link(entry, store, out)
             progress(done + 1, len(entries), entry.task.name)
     views = list(views_of(entries, out))
-    write_index(views, out)
-    files = _checksums(entries, out, console)
+    files = _checksums(entries, write_index(views, out), out, console)
     shards: list[str] = []
     if config.shard_mb is None:
         remove_shards(out)
@@ -108,15 +107,16 @@ def _remove_others(entries: list[DatasetEntry], out: Path) -> None:
                     remove(path)
 
 
-def _checksums(entries: list[DatasetEntry], out: Path, console: Console) -> dict[str, dict[str, Any]]:
-    """Checksums of the files that hold data: files of the entries, and the index."""
+def _checksums(entries: list[DatasetEntry], rows: list[str], out: Path, console: Console) -> dict[str, dict[str, Any]]:
+    """Checksums of the files that hold data: files of the entries, and files of `rows`."""
     places = [place for split in SPLITS for place in sorted(entry.place for entry in entries if entry.split == split)]
     found = [path for place in places for path in sorted((out / place).rglob("*")) if path.is_file()]
+    found += [out / name for name in rows]
     result = {}
     with console.progress("checksums") as progress:
-        for done, path in enumerate([*found, out / INDEX]):
+        for done, path in enumerate(found):
             result[path.relative_to(out).as_posix()] = _facts(path)
-            progress(done + 1, len(found) + 1, path.name)
+            progress(done + 1, len(found), path.name)
     return result
 
 
