@@ -7,6 +7,8 @@ from typing import Any
 
 from novags.testbed.dataset.file import SPLITS, DatasetConfig
 from novags.testbed.dataset.publish import METADATA, DatasetEntry
+from novags.testbed.dataset.recipes.listed import RECIPES
+from novags.testbed.dataset.recipes.snr import FORMULA
 from simscenes.loading.reference import is_scene_file
 
 TASKS = ["image-to-image", "image-to-3d", "depth-estimation"]  # as the hub spells them
@@ -40,6 +42,8 @@ def card(config: DatasetConfig, entries: Sequence[DatasetEntry], manifest: dict[
             lines.append(f"| {split} | {_some(scenes)} | {len(own)} | {sum(c.record['views'] for c in own)} |")
     together = "scene with all its variations" if config.split_by == "scene" else "variation of a scene"
     lines += ["", f"No {together} lies in two splits.", "", "## Contents", "", *_LAYOUT, ""]
+    if config.recipes:
+        lines += [*(f"- `training/{name}`: {RECIPES[name].what}." for name in config.recipes), "", f"{FORMULA}.", ""]
     lines += ["## How it was made", "", f"By novags {manifest['software']['novags']}: scenes rendered by Mitsuba "
               f"{manifest['software']['mitsuba']}, then exposed by a model of each camera. "
               "No two captures share the random numbers of noise (`noise_seed` in `index.csv`); the fixed pattern "
@@ -86,6 +90,7 @@ _LAYOUT = (
     "| `transforms.json`, `sparse/0`, lists of train, val, test views | cameras, for nerfstudio and COLMAP readers |",
     "| `shards` | the same views as WebDataset tar files, if they were asked for; of `dark16.png` decoders that use "
     "Pillow keep 8 bits |",
+    "| `training/RECIPE` | what networks train on, if it was asked for, in .npz files that its index.csv lists |",
     "| `manifest.json`, `croissant.json` | everything about it; metadata for search and loading |",
 )
 

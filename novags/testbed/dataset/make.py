@@ -1,6 +1,6 @@
 """A finished plan becomes a data set: files, index, shards, metadata, data card; the manifest last.
 
-README.md  manifest.json  croissant.json  index.csv  shards/  SPLIT/set/  SPLIT/capture/
+README.md  manifest.json  croissant.json  index.csv  shards/  training/  SPLIT/set/  SPLIT/capture/
 """
 
 import hashlib
@@ -15,6 +15,8 @@ from novags.testbed.dataset.card import card
 from novags.testbed.dataset.croissant import croissant
 from novags.testbed.dataset.file import SPLITS, DatasetConfig, spelled
 from novags.testbed.dataset.publish import INDEX, DatasetEntry, entries_of, link, views_of, write_index
+from novags.testbed.dataset.recipes.write import FOLDER as TRAINING
+from novags.testbed.dataset.recipes.write import write_recipes
 from novags.testbed.dataset.shards import FOLDER, remove_shards, write_shards
 from novags.testbed.dataset.splits import splits_of
 from novags.testbed.folders.runs import STUDY
@@ -75,6 +77,7 @@ def publish(plan: StudyPlan, config: DatasetConfig, store: Path, out: Path, cons
         sums = {name: facts["sha256"] for name, facts in files.items()}
         shards = write_shards(views, out, config.shard_mb, sums)
         files |= {name: _facts(out / name) for name in shards}
+    files |= {name: _facts(out / name) for name in write_recipes(config.recipes, entries, out, console)}
     write_json(out / CROISSANT, croissant(config, list(views[0].row), files, shards))
     manifest = _manifest(config, plan.study, entries, files)
     write_text(out / CARD, card(config, entries, manifest))
@@ -89,7 +92,7 @@ def refuse_foreign(out: Path, making: Path) -> None:
     Raises:
         ValueError: If it does.
     """
-    names = (MANIFEST, CARD, CROISSANT, INDEX, FOLDER, *SPLITS)
+    names = (MANIFEST, CARD, CROISSANT, INDEX, FOLDER, TRAINING, *SPLITS)
     taken = [name for name in names if (out / name).exists()]
     if taken and not (making / STUDY).exists():
         raise ValueError(f"{out} already holds {', '.join(taken)}, and no work of this command is in {making}: choose "
