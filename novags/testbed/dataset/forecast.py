@@ -33,9 +33,10 @@ def forecast(
     linked = _device(store) == _device(out)
     training = size_of(config.recipes, [cell.preset for cell in plan.study.cells])
     beside = (0.0 if linked else size) + (0.0 if config.shard_mb is None else shards) + training
-    parts = ["links" if linked else "copies", *["shards"] * (config.shard_mb is not None), *config.recipes]
+    copied = ["shards"] * (config.shard_mb is not None) + list(config.recipes)
+    parts = ", and ".join(["links" if linked else "copies", *filter(None, [", ".join(copied)])])
     lines = [of_study.forecast(plan, store, engine), "", f"  data set {config.name}: about {of_study.size(size)}; "
-             f"beside the store it takes {of_study.size(beside)} ({', and '.join(parts)})"]  # fmt: skip
+             f"beside the store it takes {of_study.size(beside)} ({parts})"]  # fmt: skip
     for split in SPLITS:
         if scenes := [scene for scene, where in divided.items() if where == split]:
             more = f" and {len(scenes) - 8} more" if len(scenes) > 8 else ""

@@ -13,9 +13,9 @@ import numpy as np
 from novags.testbed.folders.capture import Capture
 
 FORMULA = (
-    "`snr_db` is 10 log10 of the sum of (clean - dark)^2 over the sum of variance + (mean - clean)^2, over all raw pixels "
-    "of all views of a capture: the power of the signal over the power of the noise, fixed pattern included; `dark` is "
-    "the mean without light"
+    "`snr_db` is 10 log10 of the sum of (clean - dark)^2 over the sum of variance + (mean - clean)^2, over all raw "
+    "pixels of all views of a capture: the power of the signal over the power of the noise, fixed pattern included; "
+    "`dark` is the mean without light"
 )
 
 
