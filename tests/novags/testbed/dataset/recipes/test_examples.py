@@ -17,7 +17,7 @@ from novags.commands.dataset import dataset
 from novags.testbed.dataset.file import read_dataset
 from novags.testbed.dataset.recipes.listed import RECIPES, size_of
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[5]
 EXAMPLES = {name: ROOT / "docs" / "examples" / f"{name}.py" for name in RECIPES}
 FILE = """
 [dataset]
