@@ -1,13 +1,18 @@
 """The data card: README.md of a data set, with the head that Hugging Face reads."""
 
 import json
-from collections.abc import Sequence
+import re
+from collections.abc import Collection, Sequence
 from typing import Any
 
 from novags.testbed.dataset.file import SPLITS, DatasetConfig
-from novags.testbed.dataset.publish import DatasetEntry
+from novags.testbed.dataset.publish import METADATA, DatasetEntry
+from novags.testbed.dataset.recipes.listed import RECIPES
+from novags.testbed.dataset.recipes.snr import FORMULA
 from simscenes.loading.reference import is_scene_file
 
+TASKS = ["image-to-image", "image-to-3d", "depth-estimation"]  # as the hub spells them
+SPDX = re.compile(r"[A-Za-z0-9.+-]+")
 # Textures of scene files may be photographs.
 CATALOGUE_ONLY = "Everything is rendered: no photograph is part of it, and nothing shows a real place or person."
 # Simulated effects are switched on by the plans; no scene and no camera here has these.
@@ -24,8 +29,8 @@ def card(config: DatasetConfig, entries: Sequence[DatasetEntry], manifest: dict[
     captures = [entry for entry in entries if entry.task.kind == "capture"]
     views = sum(entry.record["views"] for entry in captures)
     tags = ["low-light", "novel-view-synthesis", "denoising", "synthetic"]
-    head = {"license": config.licence.lower(), "pretty_name": config.name, "tags": tags,
-            "size_categories": [_size(views)]}  # fmt: skip
+    head = {**_licence(config.licence), "pretty_name": config.name, "task_categories": TASKS, "tags": tags,
+            "size_categories": [_size(views)], "configs": _configs({entry.split for entry in captures})}  # fmt: skip
     lines = ["---", *(f"{key}: {json.dumps(value)}" for key, value in head.items()), "---", "", f"# {config.name}", ""]
     lines += [config.description or "Views of rendered scenes, photographed in the dark by simulated cameras.", ""]
     lines += [f"Version {config.version}, licence {config.licence}." + _by(config), "", "| split | scenes | captures | "
@@ -37,6 +42,8 @@ def card(config: DatasetConfig, entries: Sequence[DatasetEntry], manifest: dict[
             lines.append(f"| {split} | {_some(scenes)} | {len(own)} | {sum(c.record['views'] for c in own)} |")
     together = "scene with all its variations" if config.split_by == "scene" else "variation of a scene"
     lines += ["", f"No {together} lies in two splits.", "", "## Contents", "", *_LAYOUT, ""]
+    if config.recipes:
+        lines += [*(f"- `training/{name}`: {RECIPES[name].what}." for name in config.recipes), "", f"{FORMULA}.", ""]
     lines += ["## How it was made", "", f"By novags {manifest['software']['novags']}: scenes rendered by Mitsuba "
               f"{manifest['software']['mitsuba']}, then exposed by a model of each camera. "
               "No two captures share the random numbers of noise (`noise_seed` in `index.csv`); the fixed pattern "
@@ -55,15 +62,35 @@ def card(config: DatasetConfig, entries: Sequence[DatasetEntry], manifest: dict[
     return "\n".join([*lines, *(f"- {text}" for text in never), ""])
 
 
+def _licence(licence: str) -> dict[str, str]:
+    """As the hub names it: an SPDX identifier in small letters, or "other" with the text."""
+    if SPDX.fullmatch(licence):
+        return {"license": licence.lower()}
+    return {"license": "other", "license_name": licence}
+
+
+def _configs(splits: Collection[str]) -> list[dict[str, Any]]:
+    """The files that load_dataset of the package datasets reads: rows and 8-bit pictures of each split.
+
+    Shards are not among them: all configurations of a folder have one format, which datasets takes from the first.
+    """
+    files = [{"split": split, "path": [f"{split}/{METADATA}", f"{split}/*/*/images/*.png"]}
+             for split in SPLITS if split in splits]  # fmt: skip
+    return [{"config_name": "views", "default": True, "data_files": files}]
+
+
 _LAYOUT = (
     "| | |",
     "| --- | --- |",
     "| `index.csv` | a row for each view, with the paths below |",
+    "| `SPLIT/metadata.jsonl` | the same rows, for `datasets.load_dataset`, which opens the 8-bit pictures with them |",
     "| `SPLIT/capture/NAME/images`, `images16`, `raw` | dark pictures: 8-bit sRGB, 16-bit linear, DNG |",
     "| `SPLIT/capture/NAME/truth` | EXR: mean, variance and noise-free digital numbers of each pixel |",
     "| `SPLIT/set/NAME/images`, `gt` | in good light: 8-bit sRGB; EXR with radiance, depth, normals, albedo, ids |",
     "| `transforms.json`, `sparse/0`, lists of train, val, test views | cameras, for nerfstudio and COLMAP readers |",
-    "| `shards` | the same views as WebDataset tar files, if they were asked for |",
+    "| `shards` | the same views as WebDataset tar files, if they were asked for; of `dark16.png` decoders that use "
+    "Pillow keep 8 bits |",
+    "| `training/RECIPE` | what networks train on, if it was asked for, in .npz files that its index.csv lists |",
     "| `manifest.json`, `croissant.json` | everything about it; metadata for search and loading |",
 )
 

@@ -71,8 +71,10 @@ def _file(name: str, kind: str, files: dict[str, dict[str, Any]]) -> dict[str, A
 
 
 def _field(column: str) -> dict[str, Any]:
+    source: dict[str, Any] = {"fileObject": {"@id": INDEX}, "extract": {"column": column}}
+    if column == "view":  # readers take a column of 0000, 0001 for numbers and lose the zeros: the path keeps them
+        source |= {"extract": {"column": "dark"}, "transform": {"regex": r"^.*/(.+)\.png$"}}
     return {
         "@type": "cr:Field", "@id": f"views/{column}", "name": column, "description": MEANING[column],
-        "dataType": TYPES.get(column, "sc:Text"),
-        "source": {"fileObject": {"@id": INDEX}, "extract": {"column": column}},
+        "dataType": TYPES.get(column, "sc:Text"), "source": source,
     }  # fmt: skip

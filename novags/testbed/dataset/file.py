@@ -5,6 +5,7 @@ name = "dark-rooms"                its name
 licence = "CC-BY-4.0"              of the data, as SPDX spells it
 split_by = "scene"                 never lies in two splits: a scene with all its variations, or a "variation"
 shard_mb = 256                     WebDataset shards of this size; none if left out
+recipes = ["denoiser"]             what networks train on (`recipes.listed`); none if left out
 description, version, creators, url, date
 [dataset.split]                    train = 0.8, val = 0.1, test = 0.1 if left out; or lists of scenes
 """
@@ -19,6 +20,7 @@ from typing import Any, Literal, get_type_hints
 from novags.methods.variant import dotted
 from novags.settings import check_seed, converted
 from novags.testbed.dataset.noise import with_own_noise
+from novags.testbed.dataset.recipes.listed import check_recipes
 from novags.testbed.study.cells.axes import OF_RUNS, changes_of, scene_identity, scene_of
 from novags.testbed.study.cells.grid import Cell, Study, study_of
 from sensor_model.files.door import resolved
@@ -47,6 +49,7 @@ class DatasetConfig:
         split_by: The unit that never lies in two splits.
         split: Share of the units, or list of scenes, of each split.
         shard_mb: Size of WebDataset shards, 1e6 bytes; None: no shards.
+        recipes: Names of what is made for training, of `recipes.listed`.
         seed: Of the order in which scenes are dealt out to splits.
     """
 
@@ -60,6 +63,7 @@ class DatasetConfig:
     split_by: Literal["scene", "variation"] = "scene"
     split: dict[str, Any] = field(default_factory=lambda: dict(SHARES))
     shard_mb: float | None = None
+    recipes: tuple[str, ...] = ()
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -71,6 +75,8 @@ class DatasetConfig:
             raise ValueError(f"date must be YYYY-MM-DD, got {brief(repr(self.date), 60)}")
         if self.shard_mb is not None and not 0 < self.shard_mb <= LARGEST_SHARD:
             raise ValueError(f"shard_mb must be > 0 and at most {LARGEST_SHARD:g}, got {self.shard_mb:g}")
+        if len(set(self.recipes)) < len(self.recipes):
+            raise ValueError(f"recipes must differ, got {', '.join(self.recipes)}")
         check_seed(self.seed)
 
 
@@ -101,6 +107,10 @@ def read_dataset(path: Path) -> tuple[Study, DatasetConfig]:
         if (size := cell.preset.capture.max_size) is not None:
             raise ValueError(f"{path}: {cell.label}: max_size = {size} would make dark pictures smaller than well-"
                              "lit ones: choose width and height instead")  # fmt: skip
+    try:
+        check_recipes(config.recipes, [cell.preset for cell in study.cells])
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
     cells = (Cell(c.values, with_own_noise(c.preset, spelled(c.preset.render.scene, path))) for c in study.cells)
     return replace(study, cells=tuple(cells), table=table), config
 

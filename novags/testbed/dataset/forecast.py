@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from novags.testbed.dataset.file import SPLITS, DatasetConfig
+from novags.testbed.dataset.recipes.listed import size_of
 from novags.testbed.ledger.store import costs
 from novags.testbed.study import forecast as of_study
 from novags.testbed.study.costs import Costs
@@ -30,10 +31,12 @@ def forecast(
     # Samples are of captures, and each holds its own copy of the picture and the truth in good light.
     shards = sum(disk[key] + sum(disk[need] for need in plan.tasks[key].needs) for key in plan.ends)
     linked = _device(store) == _device(out)
-    beside = (0.0 if linked else size) + (0.0 if config.shard_mb is None else shards)
+    training = size_of(config.recipes, [cell.preset for cell in plan.study.cells])
+    beside = (0.0 if linked else size) + (0.0 if config.shard_mb is None else shards) + training
+    copied = ["shards"] * (config.shard_mb is not None) + list(config.recipes)
+    parts = ", and ".join(["links" if linked else "copies", *filter(None, [", ".join(copied)])])
     lines = [of_study.forecast(plan, store, engine), "", f"  data set {config.name}: about {of_study.size(size)}; "
-             f"beside the store it takes {of_study.size(beside)} ({'links' if linked else 'copies'}"
-             f"{', and shards' if config.shard_mb is not None else ''})"]  # fmt: skip
+             f"beside the store it takes {of_study.size(beside)} ({parts})"]  # fmt: skip
     for split in SPLITS:
         if scenes := [scene for scene, where in divided.items() if where == split]:
             more = f" and {len(scenes) - 8} more" if len(scenes) > 8 else ""

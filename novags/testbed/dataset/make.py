@@ -1,6 +1,6 @@
 """A finished plan becomes a data set: files, index, shards, metadata, data card; the manifest last.
 
-README.md  manifest.json  croissant.json  index.csv  shards/  SPLIT/set/  SPLIT/capture/
+README.md  manifest.json  croissant.json  index.csv  shards/  training/  SPLIT/set/  SPLIT/capture/
 """
 
 import hashlib
@@ -15,6 +15,8 @@ from novags.testbed.dataset.card import card
 from novags.testbed.dataset.croissant import croissant
 from novags.testbed.dataset.file import SPLITS, DatasetConfig, spelled
 from novags.testbed.dataset.publish import INDEX, DatasetEntry, entries_of, link, views_of, write_index
+from novags.testbed.dataset.recipes.write import FOLDER as TRAINING
+from novags.testbed.dataset.recipes.write import write_recipes
 from novags.testbed.dataset.shards import FOLDER, remove_shards, write_shards
 from novags.testbed.dataset.splits import splits_of
 from novags.testbed.folders.runs import STUDY
@@ -67,8 +69,7 @@ def publish(plan: StudyPlan, config: DatasetConfig, store: Path, out: Path, cons
             link(entry, store, out)
             progress(done + 1, len(entries), entry.task.name)
     views = list(views_of(entries, out))
-    write_index(views, out)
-    files = _checksums(entries, out, console)
+    files = _checksums(entries, write_index(views, out), out, console)
     shards: list[str] = []
     if config.shard_mb is None:
         remove_shards(out)
@@ -76,6 +77,7 @@ def publish(plan: StudyPlan, config: DatasetConfig, store: Path, out: Path, cons
         sums = {name: facts["sha256"] for name, facts in files.items()}
         shards = write_shards(views, out, config.shard_mb, sums)
         files |= {name: _facts(out / name) for name in shards}
+    files |= {name: _facts(out / name) for name in write_recipes(config.recipes, entries, out, console)}
     write_json(out / CROISSANT, croissant(config, list(views[0].row), files, shards))
     manifest = _manifest(config, plan.study, entries, files)
     write_text(out / CARD, card(config, entries, manifest))
@@ -90,7 +92,7 @@ def refuse_foreign(out: Path, making: Path) -> None:
     Raises:
         ValueError: If it does.
     """
-    names = (MANIFEST, CARD, CROISSANT, INDEX, FOLDER, *SPLITS)
+    names = (MANIFEST, CARD, CROISSANT, INDEX, FOLDER, TRAINING, *SPLITS)
     taken = [name for name in names if (out / name).exists()]
     if taken and not (making / STUDY).exists():
         raise ValueError(f"{out} already holds {', '.join(taken)}, and no work of this command is in {making}: choose "
@@ -108,15 +110,16 @@ def _remove_others(entries: list[DatasetEntry], out: Path) -> None:
                     remove(path)
 
 
-def _checksums(entries: list[DatasetEntry], out: Path, console: Console) -> dict[str, dict[str, Any]]:
-    """Checksums of the files that hold data: files of the entries, and the index."""
+def _checksums(entries: list[DatasetEntry], rows: list[str], out: Path, console: Console) -> dict[str, dict[str, Any]]:
+    """Checksums of the files that hold data: files of the entries, and files of `rows`."""
     places = [place for split in SPLITS for place in sorted(entry.place for entry in entries if entry.split == split)]
     found = [path for place in places for path in sorted((out / place).rglob("*")) if path.is_file()]
+    found += [out / name for name in rows]
     result = {}
     with console.progress("checksums") as progress:
-        for done, path in enumerate([*found, out / INDEX]):
+        for done, path in enumerate(found):
             result[path.relative_to(out).as_posix()] = _facts(path)
-            progress(done + 1, len(found) + 1, path.name)
+            progress(done + 1, len(found), path.name)
     return result
 
 

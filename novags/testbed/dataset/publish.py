@@ -3,6 +3,7 @@
 Files are links to the store's where the disk allows it, and then take no further room; else copies.
 """
 
+import json
 import os
 import shutil
 from collections.abc import Iterator, Mapping
@@ -11,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from novags.testbed.console.csv_text import as_csv
-from novags.testbed.dataset.file import spelled
+from novags.testbed.dataset.file import SPLITS, spelled
 from novags.testbed.folders.capture import RECORD as CAPTURE
 from novags.testbed.ledger.contents import not_as_written, read_json
 from novags.testbed.ledger.store import Seal, files_of, read_seal
@@ -23,7 +24,8 @@ from sensor_model.files.atomic import write_text
 from sensor_model.files.door import admitted, check_links
 from simscenes.sets.multiview import MultiviewSet, load_set
 
-INDEX = "index.csv"
+INDEX, METADATA = "index.csv", "metadata.jsonl"
+PICTURES = ("dark", "lit")  # with 8 bits: Pillow, which datasets reads with, takes 8 of 16 and does not say so
 
 
 @dataclass(frozen=True)
@@ -156,6 +158,25 @@ def views_of(entries: list[DatasetEntry], out: Path) -> Iterator[DatasetView]:
             }, cameras, i)  # fmt: skip
 
 
-def write_index(views: list[DatasetView], out: Path) -> None:
-    """Write index.csv: a row for each view, with paths relative to the data set."""
+def write_index(views: list[DatasetView], out: Path) -> list[str]:
+    """Write the rows of all views, with paths relative to the data set; returns the names of the files.
+
+    index.csv has every view. metadata.jsonl in the folder of a split has the views of the split, as the package
+    datasets reads folders of pictures: the paths `dark_file_name` and `lit_file_name` start at that folder.
+    """
     write_text(out / INDEX, as_csv([view.row for view in views]))
+    names = [INDEX]
+    for split in SPLITS:
+        file = out / split / METADATA
+        if rows := [view.row for view in views if view.row["split"] == split]:
+            write_text(file, "".join(f"{json.dumps(_of_hub(row))}\n" for row in rows))
+            names.append(f"{split}/{METADATA}")
+        else:  # of an earlier file
+            file.unlink(missing_ok=True)
+    return names
+
+
+def _of_hub(row: dict[str, Any]) -> dict[str, Any]:
+    named = {kind: row[kind].removeprefix(f"{row['split']}/") for kind in PICTURES}
+    return {**{key: value for key, value in row.items() if key not in named},
+            **{f"{kind}_file_name": name for kind, name in named.items()}}  # fmt: skip

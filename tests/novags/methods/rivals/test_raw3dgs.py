@@ -302,33 +302,27 @@ def test_without_the_covariance_the_extracted_noise_vanishes(losses: list[Extrac
     assert shares[1] < 0.4
 
 
-def test_targets_are_the_data_without_the_noise_through_the_enhancement(dark: Any, losses: list[ExtractorLoss]) -> None:
-    inputs, light = dark()
-    result = train(inputs, SMALL)
+def test_targets_are_the_data_without_the_noise_seen_by_the_refined_cameras_and_enhanced(
+    dark: Any, losses: list[ExtractorLoss], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (inputs, light), seen, left_of = dark(), list[Tensor](), module._left
+    monkeypatch.setattr(module, "_left", lambda *given: seen.append(given[2].viewmats) or left_of(*given))
+    fit = dataclasses.replace(SMALL.fit, refine_cameras=CameraRefinement(start=2))
+    result = train(inputs, dataclasses.replace(SMALL, fit=fit))
+    assert torch.equal(seen[0], result.viewmats)
+    assert not torch.equal(seen[0], inputs.views.viewmats)
     clean = torch.cat([losses[0].split(x, light[0])[0][None] for x in losses[0].pictures.electrons]).detach()
     left = losses[0].pictures.linear(clean)
     assert result.targets is not None
     assert result.enhanced is not None
-    shown = list(enhanced_light(inputs, left, SMALL.enhance, SMALL.pictures))
-    torch.testing.assert_close(result.targets, torch.stack(shown))
+    shown = torch.stack(list(enhanced_light(inputs, left, SMALL.enhance, SMALL.pictures)))
+    torch.testing.assert_close(result.targets, shown)
     assert float((left - light).square().mean()) < 0.5 * float((inputs.linear16 - light).square().mean())
-
-
-def test_what_is_left_of_the_noise_is_told_by_the_refined_cameras(monkeypatch: pytest.MonkeyPatch) -> None:
-    inputs, _ = exposed(None)
-    seen, left = list[Views](), module._left
-    monkeypatch.setattr(module, "_left", lambda loss, scene, views: seen.append(views) or left(loss, scene, views))
-    fit = dataclasses.replace(SMALL.fit, iterations=20, refine_cameras=CameraRefinement(start=2))
-    found = train(inputs, dataclasses.replace(SMALL, fit=fit)).viewmats
-    assert found is not None
-    assert torch.equal(seen[0].viewmats, found)
-    assert not torch.equal(found, inputs.views.viewmats)
 
 
 def test_an_interruption_in_the_pretraining_changes_nothing(dark: Any, tmp_path: Path) -> None:
     """One in the fit, whose checkpoint has the network too, is tested for every rival."""
-    inputs, _ = dark()
-    seen: list[Any] = []
+    (inputs, _), seen = dark(), list[Any]()
     whole = train(inputs, SMALL, progress=lambda *entry: seen.append(entry))
     assert parts(SMALL) == {"pretraining": 4, "fit": 30}
     assert [done for done, _, entry in seen if "denoiser" in entry] == [1, 2, 3, 4]
@@ -349,8 +343,7 @@ def test_an_interruption_in_the_pretraining_changes_nothing(dark: Any, tmp_path:
 
 def test_the_network_learns_at_the_published_rates(dark: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """1e-4, and 1e-5 after 25,000 of 30,000 steps; pretrained it is where the fit begins."""
-    inputs, _ = dark()
-    rates, begun = dict[int, float](), list[Any]()
+    (inputs, _), rates, begun = dark(), dict[int, float](), list[Any]()
 
     def fit(*_: Any, companion: Any, before_step: Callable[[int], None], **more: Any) -> None:
         for iteration in (0, 24_999, 25_000, 29_999):
@@ -381,10 +374,8 @@ def test_it_sees_no_truth_and_estimates_noise_that_is_not_known(dark: Any) -> No
     assert (METHOD.sees_clean, METHOD.sees_surface) == (False, False)
     assert METHODS["raw3dgs"] is METHOD
     inputs, light = dark()
-    known, unknown, told = (
-        train(each, SMALL)
-        for each in (inputs, dataclasses.replace(inputs, noise=None), dataclasses.replace(inputs, clean=0 * light))
-    )
+    others = dataclasses.replace(inputs, noise=None), dataclasses.replace(inputs, clean=0 * light)
+    known, unknown, told = (train(each, SMALL) for each in (inputs, *others))
     assert [each.found["noise"] for each in (known, unknown)] == ["camera", "pictures"]
     assert torch.equal(known.render(inputs.views)[0], told.render(inputs.views)[0])
 

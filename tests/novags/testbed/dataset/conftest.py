@@ -26,6 +26,7 @@ from tests.fuzz.readers.records import make_capture  # noqa: E402
 
 QUIET = Console(quiet=True)
 SPLIT = {"train": ["tabletop"], "val": ["cornell"]}
+UNUSED = {"forced": False, "contribution": 0.0, "bound": 0.0, "unit": "codes"}  # what a plan has beside
 SCENES = ("tabletop:1", "cornell")
 CAPTURES = (("tabletop:1", 0), ("tabletop:1", 1), ("cornell", 0))  # scene, seed
 
@@ -63,7 +64,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Finished:
     tasks = dict[str, Task]()
     for k, scene in enumerate(SCENES):
         task = Task("set", f"s{k}", f"set-{k:016x}", RenderConfig(scene=scene))
-        plan = {"effects": [{"name": name, "on": on, "reason": "dark"} for name, on in
+        plan = {"effects": [{"name": name, "on": on, "reason": "dark", **UNUSED} for name, on in
                             (("paths", True), (f"fog {k}", True), ("glass", False), (f"lens {k}", False))],
                 "bound": 0.1, "unit": "codes"}  # fmt: skip
         tasks[task.key] = entry(folder / "store", task, folder / "set", "set.json", {"seed": k, "plan": plan})

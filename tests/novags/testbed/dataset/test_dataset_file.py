@@ -8,6 +8,7 @@ import pytest
 from novags.testbed.console.terminal import Console
 from novags.testbed.dataset.file import read_dataset
 from novags.testbed.dataset.make import splits
+from novags.testbed.dataset.recipes.recipe import groups_of
 from novags.testbed.study.plan import plan_of
 
 FILE = """
@@ -18,6 +19,15 @@ licence = "CC-BY-4.0"
 scene = ["tabletop:2..4", "cornell"]
 electrons = [5, 20]
 """
+MOSAIC = FILE.replace("licence", "recipes=['dark3r']\nlicence") + "sensor = ['a7s2-iso6400']\n"
+
+
+def test_a_recipe_takes_all_light_levels_of_a_scene_and_camera(tmp_path: Path) -> None:
+    (tmp_path / "data.toml").write_text(f"{MOSAIC}seed = [0, 1]\n")
+    study, config = read_dataset(tmp_path / "data.toml")
+    assert config.recipes == ("dark3r",)
+    groups = groups_of(cell.preset for cell in study.cells)
+    assert [sorted(preset.capture.electrons for preset in group) for group in groups] == [[5, 20]] * 8
 
 
 def test_every_combination_is_a_capture_and_sets_are_shared(tmp_path: Path) -> None:
@@ -80,6 +90,29 @@ WRONG = {
     "range": (FILE.replace("2..4", "4..2"), "[grid] scene: 'tabletop:4..2' must be NAME:FIRST..LAST"),
     "scene twice": (FILE.replace('"cornell"', '"tabletop:04"'), "'tabletop:4' is listed twice, also as 'tabletop:04'"),
     "scene of a split": (f"{FILE}[dataset.split]\ntrain = 1\ntest = ['attic']", "test: no scene 'attic'"),
+    "recipe": (FILE.replace("licence", "recipes=['denoise']\nlicence"), "recipes: there is no 'denoise'; there are "),
+    "recipe twice": (
+        FILE.replace("licence", "recipes=['dark3r', 'dark3r']\nlicence"),
+        "recipes must differ, got dark3r",
+    ),
+    "three chips": (
+        MOSAIC.replace("a7s2-iso6400", "a7s2-iso6400-3chip"),
+        "recipe dark3r, scene tabletop:2: the sensor "
+        "must have a colour filter array, which is packed, got a7s2-iso6400-3chip with three chips",
+    ),
+    "one light": (MOSAIC.replace("[5, 20]", "[5]"), "electrons must have two values or more for each scene and camera"),
+    "odd size": (
+        f"{MOSAIC}[override]\nwidth=33",
+        "width and height must be even for a mosaic, whose cells are 2 x 2 px, got 33 x ",
+    ),
+    "few views": (
+        f"{MOSAIC.replace('dark3r', 'feedforward')}[override]\nviews=3",
+        "views must be >= 4, so that every view has two others as context, got 3",
+    ),
+    "uneven views": (
+        f"{MOSAIC}[override]\ncapture.bracket=2.0",
+        "views must be exposed alike: leave out exposure_spread, white_balance_spread and bracket",
+    ),
     "study's": (f"{FILE}[override]\nspps=3", "[override] spps: there is no such key"),
 }
 

@@ -1,5 +1,6 @@
 """Claims about the forecast of a data set: the disk of every entry, and the copies that shards hold."""
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -18,7 +19,7 @@ def test_every_entry_counts_once_and_shards_hold_the_set_of_every_capture_again(
     shard_mb: float | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     tasks = {key: SimpleNamespace(key=key, needs=NEEDS.get(key, ())) for key in DISK}
-    plan: Any = SimpleNamespace(tasks=tasks, ends=("c0", "c1", "c2"))
+    plan: Any = SimpleNamespace(tasks=tasks, ends=("c0", "c1", "c2"), study=SimpleNamespace(cells=()))
     predicted = SimpleNamespace(predicted=lambda task: SimpleNamespace(disk=DISK[task.key]))
     monkeypatch.setattr(module.Costs, "of", lambda *_: predicted)
     monkeypatch.setattr(module, "costs", lambda store: [])
@@ -32,3 +33,7 @@ def test_every_entry_counts_once_and_shards_hold_the_set_of_every_capture_again(
     assert f"it takes {f'{beside:.1f} MB' if beside else '0 kB'}" in found
     assert [line.split()[0] for line in found.splitlines()[3:]] == ["train", "test"]
     assert "2 scenes: a, c" in found
+    assert ("(links, and shards)" if beside else "(links)") in found
+    monkeypatch.setattr(module, "size_of", lambda names, _: 5e6 * len(names))
+    found = module.forecast(plan, replace(config, recipes=("denoiser", "dark3r")), split, tmp_path, tmp_path, engine)
+    assert f"it takes {beside + 10:.1f} MB (links, and {'shards, ' * bool(beside)}denoiser, dark3r)" in found

@@ -69,8 +69,8 @@ def test_what_the_file_no_longer_has_is_removed_from_every_split_and_nothing_els
     assert {path for path in out.glob("*/*/*") if path.is_dir()} == there | set(foreign)
 
 
-@pytest.mark.parametrize("name", ["manifest.json", "README.md", "croissant.json", "index.csv", "shards", "train", "val",
-                                  "test"])  # fmt: skip
+@pytest.mark.parametrize("name", ["manifest.json", "README.md", "croissant.json", "index.csv", "shards", "training",
+                                  "train", "val", "test"])  # fmt: skip
 def test_a_folder_that_holds_any_of_its_names_is_refused_unless_it_was_made_here(tmp_path: Path, name: str) -> None:
     (tmp_path / "out" / name).mkdir(parents=True)
     (tmp_path / "making").mkdir()

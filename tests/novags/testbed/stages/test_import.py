@@ -16,7 +16,6 @@ from novags.methods.variant import Variant
 from novags.testbed import stages
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import Capture, open_capture
-from novags.testbed.importing import stored
 from novags.testbed.stages.configs.capturing import CaptureConfig
 from novags.testbed.stages.configs.importing import ImportConfig
 from novags.testbed.stages.configs.reconstructing import ReconstructConfig
@@ -142,21 +141,6 @@ def test_16_bit_pictures_are_read_by_their_levels_and_curve(
     expected = np.round(255 * linear_to_srgb(capture.linear16(5).astype(np.float64).clip(0, 1)))
     assert np.abs(255 * capture.srgb8(5) - expected).max() <= 1
     assert f"code {black} is black, {white} white, {curve} in between" in stream.getvalue()
-
-
-@pytest.mark.parametrize(("place", "curves"), [(None, "linear"), (-1, "linear or srgb"), (0, "srgb or linear")])
-def test_files_that_state_other_curves_than_their_neighbours_are_named(
-    place: int | None, curves: str, line: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Rationale: each is read by its own, and a folder of both kinds is likely a mistake."""
-    dark = foreign(tmp_path / "dark", line, "images16")
-    (dark / "images16").rename(dark / "images")
-    other = None if place is None else NAMES[place]
-    monkeypatch.setattr(stored, "stated_curve", lambda file: "srgb" if file.stem == other else None)
-    stream = io.StringIO()
-    brought(dark, tmp_path / "cap", Console(stream=stream))
-    says = "" if place is None else ", as the files say"
-    assert f"white, {curves} in between{says} (" in stream.getvalue()
 
 
 def test_pictures_of_an_unknown_camera_say_their_noise_themselves_by_the_training_views(tmp_path: Path) -> None:

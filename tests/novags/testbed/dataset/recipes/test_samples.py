@@ -1,0 +1,134 @@
+"""Claims about the samples of each recipe."""
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from novags.testbed.dataset.recipes.dark3r import DARK3R
+from novags.testbed.dataset.recipes.denoiser import DENOISER
+from novags.testbed.dataset.recipes.feedforward import CONTEXT, FEEDFORWARD, context_of
+from novags.testbed.dataset.recipes.packing import half_size, packed
+from novags.testbed.dataset.recipes.recipe import Group
+from simscenes.rigs import orbit_rig
+from simscenes.sets.pictures.exr import read_exr
+from simscenes.sets.pictures.png import read_codes
+
+
+def test_pairs_are_the_frames_of_every_capture_and_their_noise_has_the_stated_variance(mosaic: Group) -> None:
+    found = list(DENOISER.samples(mosaic))
+    assert len({sample.name for sample in found}) == len(found) == 3 * 5
+    for k, sample in enumerate(found):
+        level, i = mosaic.levels[k // 5], k % 5
+        assert (sample.row["electrons"], sample.row["view"]) == (level.electrons, mosaic.names[i])
+        assert sample.row["snr_db"] == pytest.approx(level.snr_db, abs=5e-4)
+        arrays = sample.arrays
+        assert np.array_equal(arrays["noisy"], packed(level.capture.raw(i), "RGGB"))
+        assert (arrays["noisy"].dtype, arrays["clean"].dtype) == (np.uint16, np.float32)
+        assert (arrays["black"], arrays["white"]) == (512, level.sensor.white_dn)
+        assert arrays["gain"] == pytest.approx(level.sensor.gain)
+        assert arrays["sigma_d"] == pytest.approx(level.sensor.sigma_d)
+    dark = [sample.arrays for sample in found[:10]]  # the bright ones are saturated here and there
+    drawn = np.concatenate([((a["noisy"] - a["clean"]) / np.sqrt(a["variance"])).ravel() for a in dark])
+    assert drawn.mean() == pytest.approx(0, abs=5 / np.sqrt(drawn.size))
+    # The fourth moment of such numbers is 3 for a normal one and at most 1 more for a Poisson one beside read noise.
+    assert drawn.var() == pytest.approx(1, abs=5 * np.sqrt(3 / drawn.size))
+
+
+def test_pairs_of_three_chips_keep_their_size(chips: Group) -> None:
+    for i, sample in enumerate(DENOISER.samples(chips)):
+        capture = chips.levels[0].capture
+        assert sample.arrays["noisy"].shape == (3, 24, 32)
+        assert np.array_equal(np.moveaxis(sample.arrays["noisy"], 0, -1), capture.raw(i))
+        assert np.array_equal(np.moveaxis(sample.arrays["clean"], 0, -1), capture.truth(i, "clean"))
+
+
+def test_the_bright_exposure_is_the_brightest_and_black_is_kept_on_both_sides(mosaic: Group) -> None:
+    found = list(DARK3R.samples(mosaic))
+    assert [sample.name for sample in found] == list(mosaic.names)
+    darkest, middle, brightest = mosaic.levels
+    for i, sample in enumerate(found):
+        arrays = sample.arrays
+        assert all(array.dtype == np.float32 for array in arrays.values())
+        assert np.array_equal(arrays["bright"], half_size(brightest.capture.raw(i), "RGGB"))
+        for k, level in enumerate((darkest, middle)):
+            assert np.array_equal(arrays["dark"][k], half_size(level.capture.raw(i), "RGGB"))
+        assert arrays["electrons"].tolist() == [1, 20]
+        assert arrays["bright_electrons"] == 2000
+        assert arrays["snr_db"] == pytest.approx([darkest.snr_db, middle.snr_db])
+        assert arrays["bright_snr_db"] == pytest.approx(brightest.snr_db)
+        below = np.mean(arrays["dark"][0] < arrays["black"])
+        assert 0.1 < below < 0.5  # of an electron beside 1.2 e- of read noise
+        rig = mosaic.views.rig
+        assert np.array_equal(arrays["viewmat"], rig.viewmats[i].astype(np.float32))
+        assert arrays["K"][:2] == pytest.approx(rig.Ks[i][:2] / 2)
+        assert sample.row["electrons"] == "1 20 2000"
+        assert [float(value) for value in sample.row["snr_db"].split()] == pytest.approx(
+            [level.snr_db for level in mosaic.levels], abs=5e-4
+        )
+
+
+def test_views_hold_every_light_level_the_truth_and_their_context(mosaic: Group) -> None:
+    found = list(FEEDFORWARD.samples(mosaic))
+    views = mosaic.views
+    assert [sample.name for sample in found] == list(views.names)
+    depths = [read_exr(views.path / "gt" / f"{name}.exr")[0]["Z"] for name in views.names]
+    for i, sample in enumerate(found):
+        arrays, row = sample.arrays, sample.row
+        for k, level in enumerate(mosaic.levels):
+            codes = read_codes(level.capture.path / "images16" / f"{sample.name}.png")
+            assert np.array_equal(arrays["dark"][k], np.moveaxis(codes, -1, 0))
+            light = (arrays["dark"][k].astype(float) - arrays["black"]) / (arrays["white"] - arrays["black"])
+            assert np.moveaxis(light, 0, -1) == pytest.approx(level.capture.linear16(i), abs=1e-6)
+        assert np.array_equal(arrays["lit"], np.moveaxis(views.image(i), -1, 0))
+        assert np.array_equal(arrays["depth"], depths[i])
+        assert arrays["electrons"].tolist() == [1, 20, 2000]
+        assert np.array_equal(arrays["viewmat"], views.rig.viewmats[i].astype(np.float32))
+        assert np.array_equal(arrays["K"], views.rig.Ks[i].astype(np.float32))
+        assert row["held_out"] == int(i in views.test_indices)
+        assert float(row["near"]) == pytest.approx(min(depth.min() for depth in depths), rel=1e-5)
+        assert float(row["far"]) == pytest.approx(max(depth.max() for depth in depths), rel=1e-5)
+        assert row["context"].split() == [views.names[j] for j in context_of(views, i, float(np.median(depths)))]
+
+
+def some_views(viewmats: np.ndarray, held: tuple[int, ...] = (0,)) -> Any:
+    test = set(held)
+    return SimpleNamespace(path=Path("set"), names=[f"{i:04d}" for i in range(len(viewmats))],
+                           rig=SimpleNamespace(viewmats=viewmats), test_indices=sorted(test),
+                           train_indices=[i for i in range(len(viewmats)) if i not in test])  # fmt: skip
+
+
+def test_context_is_the_nearest_training_views_and_neither_a_held_out_one_nor_the_target() -> None:
+    """On a ring, views are as near as their numbers, whichever way round."""
+    count = 24
+    angles = 2 * np.pi * np.arange(count) / count
+    viewmats = np.tile(np.eye(4), (count, 1, 1))
+    for k, angle in enumerate(angles):
+        c, s = np.cos(angle), np.sin(angle)
+        viewmats[k, :3, :3] = [[c, 0, s], [0, 1, 0], [-s, 0, c]]
+        viewmats[k, 2, 3] = 3.0  # looks at the origin from a distance of 3
+    views = some_views(viewmats, held=(0, 8, 16))
+    for i in range(count):
+        found = context_of(views, i, 3.0)
+        steps = [min((j - i) % count, (i - j) % count) for j in found]
+        assert len(found) == CONTEXT
+        assert steps == sorted(steps)
+        assert not {i, 0, 8, 16} & set(found)
+        farthest = [j for j in views.train_indices if j != i and min((j - i) % count, (i - j) % count) < steps[-1]]
+        assert set(farthest) <= set(found)
+
+
+def test_a_camera_that_stands_in_place_but_looks_away_is_far() -> None:
+    viewmats = np.tile(np.eye(4), (4, 1, 1))
+    viewmats[1, :3, :3] = np.diag([-1.0, 1.0, -1.0])  # looks back
+    viewmats[2, 0, 3], viewmats[3, 0, 3] = -0.5, -1.0  # step aside
+    assert context_of(some_views(viewmats, held=()), 0, 2.0) == [2, 3, 1]
+
+
+def test_a_target_without_two_others_is_refused() -> None:
+    views = some_views(np.asarray(orbit_rig(3, 24, 24, 60, radius=3).viewmats))
+    assert context_of(views, 0, 3.0) == [1, 2] or context_of(views, 0, 3.0) == [2, 1]
+    with pytest.raises(ValueError, match="view 0001 must have two other training views as context, got 1"):
+        context_of(views, 1, 3.0)
