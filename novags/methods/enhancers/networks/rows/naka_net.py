@@ -1,20 +1,25 @@
 """Naka-GS's tone mapping with its network as a row: see `naka.py`."""
 
+import math
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 from novags.methods.enhanced.by_enhancer import by_enhancer
-from novags.methods.enhancers.enhancer import Enhancer
-from novags.methods.enhancers.rows.naka import NakaConfig
+from novags.methods.enhancers.enhancer import Enhancer, EnhancerConfig
 from sensor_model.files.registry import Later, loaded
 
 
 @dataclass(frozen=True, kw_only=True)
-class NakaNetConfig(NakaConfig):
+class NakaNetConfig(EnhancerConfig):
     """The response, and where the weights of the network come from that corrects it."""
 
+    half: float = 0.05  # code that becomes one half before the stretch, as published
     weights: tuple[Path, ...] | None = None
+
+    def __post_init__(self) -> None:
+        if not 0 < self.half < math.inf:
+            raise ValueError(f"half must be > 0 and finite, got {self.half}")
 
 
 ENHANCER = Enhancer(

@@ -195,3 +195,9 @@ def test_a_file_of_another_network_is_refused(tmp_path: Path) -> None:
         ValueError, match="other.pth: the network needs a tensor stem.block.0.weight of .*another network"
     ):
         NAKA_NET.load(NakaNetConfig(weights=(tmp_path / "other.pth",)))
+
+
+@pytest.mark.parametrize("half", [0.0, -1.0, float("inf"), float("nan")])
+def test_a_response_that_is_no_curve_is_refused(half: float) -> None:
+    with pytest.raises(ValueError, match="half must be > 0 and finite, got"):
+        NakaNetConfig(half=half)
