@@ -1,5 +1,6 @@
 """Naka-GS's correction against its layers written out in numpy, and the authors' files."""
 
+import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import pytest
 import torch
 from scipy.special import erf
 
+from novags.methods import METHODS
 from novags.methods.enhancers import ENHANCERS
 from novags.methods.enhancers.curves.naka import naka
 from novags.methods.enhancers.networks.naka import (
@@ -25,6 +27,9 @@ from novags.methods.enhancers.networks.naka import (
 )
 from novags.methods.enhancers.networks.rows.naka_net import NakaNetConfig
 from novags.methods.enhancers.rows.naka import NakaConfig
+from novags.methods.inputs import LacksInput
+from novags.settings import changed
+from tests.novags.methods.rivals.photographed import photographed
 
 Conv = Callable[..., np.ndarray]
 
@@ -195,6 +200,21 @@ def test_a_file_of_another_network_is_refused(tmp_path: Path) -> None:
         ValueError, match="other.pth: the network needs a tensor stem.block.0.weight of .*another network"
     ):
         NAKA_NET.load(NakaNetConfig(weights=(tmp_path / "other.pth",)))
+
+
+def test_a_scene_is_fitted_to_the_corrected_pictures(tmp_path: Path) -> None:
+    torch.manual_seed(6)
+    torch.save(as_published(Correction(0.05)), tmp_path / "best.pth")
+    inputs, _ = photographed("a7s2-iso6400-3chip")  # 96 px
+    config = changed(METHODS["naka-net-gs"].config(), {"fit.iterations": 2}, what="x")
+    enhance = NakaNetConfig(weights=(tmp_path / "best.pth",))
+    result = METHODS["naka-net-gs"].train(inputs, dataclasses.replace(config, enhance=enhance))
+    pictures = NAKA_NET.load(enhance)(inputs.srgb8.movedim(-1, 1)).movedim(1, -1).clamp(0, 1)
+    assert result.targets is not None
+    torch.testing.assert_close(result.targets, pictures, rtol=0, atol=1e-5)
+    assert result.render(inputs.views)[0].isfinite().all()
+    with pytest.raises(LacksInput, match="Naka-GS has no weights: set enhance.weights to the authors' best.pth"):
+        METHODS["naka-net-gs"].train(inputs, config)
 
 
 @pytest.mark.parametrize("half", [0.0, -1.0, float("inf"), float("nan")])
