@@ -39,8 +39,10 @@ def test_numbers_stay_numbers_and_what_there_is_not_is_empty() -> None:
 
 def test_a_data_set_index_and_the_curves_of_a_study_are_written_so(tmp_path: Path) -> None:
     class View:
-        row = {"scene": "=1+cmd", "held_out": 0}
+        row = {"scene": "=1+cmd", "split": "train", "dark": "train/a.png", "lit": "train/b.png"}
 
+    (tmp_path / "train").mkdir()
     write_index([View(), View()], tmp_path)  # type: ignore[list-item]
-    assert (tmp_path / "index.csv").read_text() == "scene,held_out\n'=1+cmd,0\n'=1+cmd,0\n"
+    line = "'=1+cmd,train,train/a.png,train/b.png\n"
+    assert (tmp_path / "index.csv").read_text() == f"scene,split,dark,lit\n{line}{line}"
     assert light.as_csv is as_csv
