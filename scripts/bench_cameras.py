@@ -63,7 +63,7 @@ def light(options: argparse.Namespace) -> None:
                         rows[place] = measured(open_capture(folder), place[3], options.seed)
                         write_rows(out / "light.csv", rows)
                         print(*place, {name: round(value, 3) for name, value in rows[place].items()}, flush=True)
-    print(f"\n{table(rows)}")
+    print(f"\n{table(rows)}\n\n{apart(rows)}")
 
 
 def measured(capture: Any, cameras: str, seed: int) -> dict[str, float]:
@@ -133,6 +133,27 @@ def table(rows: dict[tuple[str, ...], dict[str, float]]) -> str:
                 name = f"{cameras}, mean of {burst}" if burst != "1" else cameras
                 cells = [cell([100 * row[s] if s == "depth" else row[s] for row in these], s) for s in SCORES]
                 lines.append(f"| {name} | {electrons:g} | {len(these)} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def apart(rows: dict[tuple[str, ...], dict[str, float]]) -> str:
+    """Markdown: by source how far its areas are above the first source's, paired by scene and light."""
+    from novags.testbed.metrics.differences import difference
+
+    def values(cameras: str, score: str) -> dict[tuple[str, str, str], float]:
+        return {
+            (scene, seed, light): row[score]
+            for (scene, light, burst, source, seed), row in rows.items()
+            if (burst, source) == ("1", cameras)
+        }
+
+    first, *others = dict.fromkeys(source for _, _, burst, source, _ in rows if burst == "1")
+    lines = [f"| over {first} | {' | '.join(SCORES[:5])} |", "|---" * 6 + "|"]
+    for cameras in others:
+        found = [difference(values(cameras, score), values(first, score)) for score in SCORES[:5]]
+        cells = ("–" if one is None or one.error is None else f"{one.value:+.2f} ± {one.error:.2f}{'*' * one.seen}"
+                 for one in found)  # fmt: skip
+        lines.append(f"| {cameras} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 

@@ -11,7 +11,7 @@ from novags.options import Folder, Folders
 
 _Reference = Literal["lit", "linear", "clean", "linear_demosaiced", "clean_demosaiced"]
 
-DIFFERS = 3  # exit code: something made again is not what it was
+DIFFERS = 3  # exit code: a result that was made again differs, or could not be made
 
 _Swap = Literal["cameras", "points", "noise", "tone", "geometry", "colours", "length", "views"]
 
@@ -150,7 +150,7 @@ def verify(
 
     Args:
         runs: Folders of runs, of experiments, of studies, or folders that hold such.
-        out: Folder for what is made again, and for verify.json. What is there is kept.
+        out: Folder for the new results, and for verify.json. Finished ones in it are kept.
         count: How many runs, drawn from all of them.
         seed: Of the draw.
         wait: If another process is writing to `out`, wait until it is done instead of refusing.

@@ -152,7 +152,8 @@ def train(
     data = problem_light(problem, noise, problem.channels_share + problem.pixels_share)
     pictures, unit = in_electrons(data), brightness(data.light)
     colors = (first_light(problem.start, data) / unit).clamp(0, 1).to(data.light)
-    white, matrix = data.white, torch.eye(3) if data.matrix is None else data.matrix.cpu()
+    white = data.white
+    matrix = torch.eye(3) if data.matrix is None else data.matrix.cpu()
     del data  # as many bytes as the pictures
     network = pretrained(problem, config, pictures, progress, checkpoint)
     loss = ExtractorLoss(network, pictures, config, unit=unit, white=white)

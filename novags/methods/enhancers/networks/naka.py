@@ -2,8 +2,8 @@
 
 The response of `curves/naka.py` raises the picture; a U-Net of three levels sees both pictures and their difference,
 each also with mean 0 and deviation 1, and gives a factor and a summand of every pixel. They correct the blurred part of
-the raised picture alone: its details are added again unchanged. Widths, ranges and layers are as
-published, and the layers have the names of the authors' code (Apache-2.0), so that their files fit.
+the raised picture alone: its details are added again unchanged. Widths, ranges and layers are as published, and the
+layers have the names of the authors' code (Apache-2.0), so that their files fit.
 
 Deviations: it learns from pairs of our cameras by our loss, as the published loss compares features of VGG-19, whose
 weights are not here. The published program limits the response by a percentile of 99.9; here its least and largest
@@ -19,6 +19,7 @@ from torch import Tensor, nn
 from novags.methods.enhancers.networks.kind import Kind
 from novags.methods.enhancers.networks.rows.naka_net import NakaNetConfig
 
+HALF = 0.05  # code that becomes one half before the stretch; weights are learnt for one value
 WIDTH = 32  # channels at full size, doubled at every level
 FACTOR, SUMMAND = 0.6, 0.25  # largest change of the factor from 1, and largest summand
 BLUR, SIGMA = 5, 1.0  # px
@@ -99,9 +100,8 @@ class Up(nn.Module):
 class Correction(nn.Module):
     """The network."""
 
-    def __init__(self, half: float, width: int = WIDTH) -> None:
+    def __init__(self, width: int = WIDTH) -> None:
         super().__init__()
-        self.code_of_half = half  # `half` is a method of modules
         self.stem = Convolved(18, width)
         self.down1, self.down2, self.down3 = (
             Down(width, width, 2),
@@ -117,7 +117,7 @@ class Correction(nn.Module):
 
     def forward(self, dark: Tensor) -> Tensor:
         """dark: [B, 3, H, W], code in 0..1 -> the same shape; not limited to 0..1."""
-        raised = response(dark, self.code_of_half)
+        raised = response(dark)
         seen = [dark, raised, raised - dark]
         x = self.stem(torch.cat([*seen, *map(even, seen)], 1))
         kept = []
@@ -133,9 +133,9 @@ class Correction(nn.Module):
         return smooth * factor + summand + (raised - smooth)
 
 
-def response(dark: Tensor, half: float) -> Tensor:
+def response(dark: Tensor) -> Tensor:
     """`curves/naka.py` on pictures [B, 3, H, W], with a slope."""
-    found = dark / (dark + half)
+    found = dark / (dark + HALF)
     low, high = found.amin((1, 2, 3), keepdim=True), found.amax((1, 2, 3), keepdim=True)
     # One colour all over has no range to be stretched.
     return torch.where(high > low, (found - low) / torch.where(high > low, high - low, torch.ones_like(low)), dark)
@@ -174,7 +174,7 @@ def run(network: nn.Module, picture: Tensor, config: NakaNetConfig) -> Tensor:
 
 
 NAKA_NET = Kind(
-    name="Naka-GS", make=lambda config: Correction(config.half), run=run, renamed=of_the_authors,
+    name="Naka-GS", make=lambda config: Correction(), run=run, renamed=of_the_authors,
     where="the authors' best.pth, or a file of the same network, trained here",
 )  # fmt: skip
 enhance = NAKA_NET.enhance

@@ -10,10 +10,9 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from novags.testbed.dataset.recipes.packing import SIDE, packed
+from novags.testbed.dataset.recipes.packing import SIDE, packed, planes
 from novags.testbed.dataset.recipes.recipe import Group, Recipe, Sample
 from novags.testbed.study.cells.presets import Preset
-from sensor_model.params import Cfa
 
 
 def check(presets: Sequence[Preset]) -> None:
@@ -44,13 +43,9 @@ def samples(group: Group) -> Iterator[Sample]:
                       "variance": capture.truth(i, "variance")}  # fmt: skip
             row = {"sensor": capture.record.sensor_name, "electrons": level.electrons, "snr_db": round(level.snr_db, 3),
                    "view": name}  # fmt: skip
-            arrays = {kind: _planes(frame, cfa) for kind, frame in frames.items()}
+            arrays = {kind: planes(frame) if cfa is None else packed(frame, cfa) for kind, frame in frames.items()}
             arrays |= {kind: np.asarray(value, np.float32) for kind, value in scalars.items()}
             yield Sample(f"{name}-{level.electrons:g}e", row, arrays)
-
-
-def _planes(frame: np.ndarray, cfa: Cfa | None) -> np.ndarray:
-    return np.ascontiguousarray(np.moveaxis(frame, -1, 0)) if cfa is None else packed(frame, cfa)
 
 
 DENOISER = Recipe("a raw frame as taken and the same without noise, with its variance", check, pixel_bytes, samples)

@@ -2,7 +2,7 @@
 
 dark         uint16 [L, 3, h, w]  linear codes of the dark pictures, `black` without light, `white` at saturation
 lit          uint8 [3, h, w]      the view in good light, sRGB
-depth        float32 [h, w]       along the camera's axis, scene units; inf where there is no surface
+depth        float32 [h, w]       along the camera's axis, scene units; inf where a ray meets no surface
 electrons    float32 [L]          mean signal of green, e-
 black, white float32 []           codes
 viewmat, K   float32 [4, 4], [3, 3]  the camera
@@ -17,6 +17,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from novags.testbed.dataset.recipes.packing import planes
 from novags.testbed.dataset.recipes.recipe import Group, Recipe, Sample
 from novags.testbed.study.cells.presets import Preset
 from sensor_model.isp import LINEAR16_BLACK
@@ -74,12 +75,12 @@ def samples(group: Group) -> Iterator[Sample]:
         raise ValueError(f"{views.path}: no view sees a surface, which depth is of: leave the scene out")
     near, middle, far = (float(value) for value in np.quantile(seen, (0, 0.5, 1)))
     for i, name in enumerate(views.names):
-        dark = [_planes(read_codes(level.capture.path / "images16" / f"{name}.png")) for level in group.levels]
+        dark = [planes(read_codes(level.capture.path / "images16" / f"{name}.png")) for level in group.levels]
         scalars = {
             "electrons": [level.electrons for level in group.levels], "black": LINEAR16_BLACK, "white": 65535,
             "viewmat": views.rig.viewmats[i], "K": views.rig.Ks[i],
         }  # fmt: skip
-        arrays = {"dark": np.stack(dark), "lit": _planes(views.image(i)), "depth": depths[i]}
+        arrays = {"dark": np.stack(dark), "lit": planes(views.image(i)), "depth": depths[i]}
         arrays |= {kind: np.asarray(value, np.float32) for kind, value in scalars.items()}
         row = {
             "sensor": group.levels[0].capture.record.sensor_name, "view": name, "near": f"{near:.6g}",
@@ -95,11 +96,6 @@ def _depth(views: MultiviewSet, i: int) -> NDArray[np.float32]:
     if geometry is None:
         raise ValueError(f"{views.path}: view {views.names[i]} has no depth: render the set again")
     return np.asarray(geometry["z"], np.float32)
-
-
-def _planes(picture: np.ndarray) -> np.ndarray:
-    """[h, w, 3] -> [3, h, w]."""
-    return np.ascontiguousarray(np.moveaxis(picture, -1, 0))
 
 
 FEEDFORWARD = Recipe(

@@ -28,6 +28,11 @@ def packed(frame: NDArray[Any], cfa: Cfa) -> NDArray[Any]:
     return np.stack([frame[y::2, x::2] for y, x in order])
 
 
+def planes(picture: NDArray[Any]) -> NDArray[Any]:
+    """[h, w, c] -> [c, h, w], the same dtype."""
+    return np.ascontiguousarray(np.moveaxis(picture, -1, 0))
+
+
 def half_size(frame: NDArray[Any], cfa: Cfa) -> NDArray[np.float32]:
     """[h, w] -> [3, h/2, w/2]: red, the mean of both greens, blue. Errors as `packed`."""
     red, green, other, blue = packed(frame, cfa).astype(np.float32)

@@ -24,6 +24,7 @@ from novags.testbed.metrics.differences import Values
 from novags.testbed.stages.configs.command import CommandConfig
 from novags.testbed.stages.configs.reconstructing import ReconstructConfig
 from novags.testbed.stages.explaining.more import MORE, refuse_more
+from novags.testbed.stages.explaining.recorded import as_recorded
 from novags.testbed.stages.scores.comparing import values_of
 
 # By reference, the first that is known. Tone is a step of its own: an enhancement is chosen by the pictures, so that
@@ -71,22 +72,23 @@ class Case:
                 f"{run.method} is a program: it has the true cameras, and points, fit and length of its own"
             )
         asked = run.record["stage"]["config"]
-        try:
-            config = changed(method.config(), dotted(asked["config"]), what=run.name)
+
+        def make() -> ReconstructConfig:
             variant = Variant(
                 name=run.name, method=run.method, settings=run.record["variant"], fits=asked.get("fits", 1),
                 title=run.record["title"].removesuffix(f" (from {METHODS.origin_of(run.method)})"),
             )  # fmt: skip
-            found = ReconstructConfig(
-                variant=variant, config=config, cameras=parse_cameras(asked["cameras"]), points=asked["points"],
-                seed=asked["seed"], hold_out=asked.get("hold_out", 0),
-                device=str(run.record["device"]).partition(":")[0],
+            return ReconstructConfig(
+                variant=variant, config=changed(method.config(), dotted(asked["config"]), what=run.name),
+                cameras=parse_cameras(asked["cameras"]), points=asked["points"], seed=asked["seed"],
+                hold_out=asked.get("hold_out", 0), device=str(run.record["device"]).partition(":")[0],
             )  # fmt: skip
-        except (ValueError, KeyError) as error:
-            raise NotSwapped(f"this version cannot make {run.name} again: {error}") from error
-        if jsonable(found.resolved()) != asked:
-            raise NotSwapped(f"this version does not make {run.name} again as it was made")
-        return found
+
+        try:
+            config: ReconstructConfig = as_recorded(run.name, asked, make)
+        except ValueError as error:
+            raise NotSwapped(str(error)) from error
+        return config
 
     @property
     def program(self) -> CommandConfig:

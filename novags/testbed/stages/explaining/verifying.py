@@ -10,28 +10,21 @@ their records before.
 
 import random
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from novags.methods.variant import dotted
-from novags.settings import changed
 from novags.testbed.console.terminal import Console
-from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.run import Run
 from novags.testbed.folders.runs import runs_in
-from novags.testbed.folders.set import Source
-from novags.testbed.ledger.contents import jsonable, write_json
+from novags.testbed.ledger.contents import write_json
 from novags.testbed.ledger.difference import flat
 from novags.testbed.stages.capturing import capture as take
-from novags.testbed.stages.configs.capturing import CaptureConfig
-from novags.testbed.stages.configs.rendering import RenderConfig
-from novags.testbed.stages.explaining.swaps import Case, NotSwapped
+from novags.testbed.stages.explaining.recorded import rendering_of, taking_of
+from novags.testbed.stages.explaining.swaps import Case
 from novags.testbed.stages.reconstructing import reconstruct
 from novags.testbed.stages.rendering import render
 from novags.testbed.stages.scores.scoring import score
-from sensor_model.presets import PRESETS
-from simscenes.scenes import SCENES
 from simscenes.sets.names import safe_name
 
 RECORD = "verify.json"
@@ -46,7 +39,7 @@ class Verified:
         run: Name of the run.
         stage: "set", "capture", "run" or "scores".
         parts: How many files it has, or scores.
-        differ: Those with another content, or another value by more than rounding of their text.
+        differ: Names of files with another content, or of scores with another value.
         largest: Of scores in dB, the largest difference; None for files.
         why_not: Why it was not made again.
     """
@@ -60,7 +53,7 @@ class Verified:
 
     @property
     def same(self) -> bool:
-        """Whether it was made again, and is what it was."""
+        """Whether it was made again without any difference."""
         return not self.why_not and not self.differ
 
     def line(self) -> str:
@@ -103,63 +96,25 @@ def _stages(name: str, run: Run, folder: Path, console: Console) -> Iterator[Ver
     capture, source = run.inputs(console)
     case = Case(run, capture, source, scores or {})
 
-    def again(stage: str, before: Mapping[str, Any], make: Callable[[Path], Mapping[str, Any]]) -> Verified:
+    def again(stage: str, before: Mapping[str, Any], make: Callable[[], Mapping[str, Any]]) -> Verified:
         try:
-            new, old = make(folder / stage)["stage"]["files"], before["files"]
-        except NotSwapped as why:
+            new, old = make()["stage"]["files"], before["files"]
+        except ValueError as why:  # one run that cannot be made again here does not cost the others
             return Verified(name, stage, why_not=str(why))
         differ = sorted(each for each in {*old, *new} if old.get(each) != new.get(each))
         return Verified(name, stage, len({*old, *new}), tuple(differ))
 
-    yield again("set", source.views.meta.get("stage", {}), lambda at: _rendered(source, at, console))
-    yield again("capture", capture.record.stage, lambda at: _taken(capture, source, at, console))
-    fit = again(
-        "run", run.record["stage"], lambda at: reconstruct(capture.path, at, case.config, console, overwrite=True)
-    )
+    yield again("set", source.views.meta.get("stage", {}), lambda: render(
+        folder / "set", rendering_of(source), console, overwrite=True))  # fmt: skip
+    yield again("capture", capture.record.stage, lambda: take(
+        source.views.path, folder / "capture", taking_of(capture), console, overwrite=True))  # fmt: skip
+    fit = again("run", run.record["stage"], lambda: reconstruct(
+        capture.path, folder / "run", case.config, console, overwrite=True))  # fmt: skip
     yield fit
     if fit.why_not or scores is None:
         yield Verified(name, "scores", why_not=fit.why_not or "the run has none")
     else:
         yield _compared(name, scores, score(folder / "run", console)["methods"][run.name])
-
-
-def _rendered(source: Source, folder: Path, console: Console) -> dict[str, Any]:
-    """The set, rendered again."""
-    asked = source.views.meta.get("stage", {}).get("config", {})
-    scene = str(asked.get("scene", ""))
-    if source.views.kind != "rendered" or scene.partition(":")[0] not in SCENES:
-        raise NotSwapped("it shows no scene of the catalogue")
-    settings = {key: value for key, value in dotted(asked).items() if key != "scene"}
-    config = _as_recorded(lambda: changed(RenderConfig(scene=scene), settings), asked)
-    return render(folder, config, console, overwrite=True)
-
-
-def _taken(capture: Capture, source: Source, folder: Path, console: Console) -> dict[str, Any]:
-    """The capture, taken again."""
-    asked = capture.record.stage["config"]
-    if capture.imported:
-        raise NotSwapped("it holds photographs")
-    if capture.record.sensor_name not in PRESETS or "dark_frames" in asked:
-        raise NotSwapped("its camera is none of the catalogue, or it has dark frames")
-    own = {each.name for each in fields(CaptureConfig) if each.init} - {"sensor"}
-    settings = {key: value for key, value in asked.items() if key in own}
-    config = _as_recorded(lambda: changed(CaptureConfig(sensor=asked["sensor"]), settings), asked)
-    return take(source.views.path, folder, config, console, overwrite=True)
-
-
-def _as_recorded(make: Callable[[], Any], asked: Mapping[str, Any]) -> Any:
-    """The settings of a stage that its record holds.
-
-    Raises:
-        NotSwapped: If this version does not have them.
-    """
-    try:
-        config = make()
-    except (ValueError, KeyError) as error:
-        raise NotSwapped(f"this version cannot make it again: {error}") from error
-    if jsonable(config.resolved()) != asked:
-        raise NotSwapped("this version does not make it again as it was made")
-    return config
 
 
 def _compared(name: str, before: Mapping[str, Any], after: Mapping[str, Any]) -> Verified:

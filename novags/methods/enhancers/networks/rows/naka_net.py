@@ -1,6 +1,5 @@
 """Naka-GS's tone mapping with its network as a row: see `naka.py`."""
 
-import math
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -12,14 +11,9 @@ from sensor_model.files.registry import Later, loaded
 
 @dataclass(frozen=True, kw_only=True)
 class NakaNetConfig(EnhancerConfig):
-    """The response, and where the weights of the network come from that corrects it."""
+    """Where the weights come from."""
 
-    half: float = 0.05  # code that becomes one half before the stretch, as published
-    weights: tuple[Path, ...] | None = None
-
-    def __post_init__(self) -> None:
-        if not 0 < self.half < math.inf:
-            raise ValueError(f"half must be > 0 and finite, got {self.half}")
+    weights: tuple[Path, ...] | None = None  # the authors' best.pth, say
 
 
 ENHANCER = Enhancer(

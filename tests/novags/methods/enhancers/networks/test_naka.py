@@ -105,7 +105,7 @@ def test_a_level_on_the_way_up_joins_both_ways(conv_by_hand: Conv) -> None:
 @pytest.mark.parametrize("shape", [(13, 10), (3, 2)])
 def test_the_whole_corrects_the_blurred_part_of_the_raised_picture(conv_by_hand: Conv, shape: tuple[int, int]) -> None:
     """The levels by the parts above; what goes in and what comes out by hand."""
-    made = randomised(Correction(0.05, 8))
+    made = randomised(Correction(8))
     dark = np.random.default_rng(2).uniform(0, 0.2, (3, *shape))
     raised, _ = naka(torch.from_numpy(dark).movedim(0, -1), NakaConfig(), None, None)
     raised = raised.movedim(-1, 0).numpy()
@@ -129,24 +129,23 @@ def test_the_whole_corrects_the_blurred_part_of_the_raised_picture(conv_by_hand:
 
 
 def test_each_picture_of_a_batch_is_a_picture_by_itself() -> None:
-    made = randomised(Correction(0.05, 8))
+    made = randomised(Correction(8))
     pictures = torch.rand(3, 3, 9, 8, dtype=torch.float64, generator=torch.Generator().manual_seed(3))
     pictures *= torch.tensor([0.02, 0.2, 0.9], dtype=torch.float64)[:, None, None, None]
     alone = torch.cat([made(each[None]) for each in pictures])
     torch.testing.assert_close(made(pictures), alone, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("half", [0.05, 0.4])
-def test_the_response_is_the_curve_of_the_row_without_a_network(half: float) -> None:
+def test_the_response_is_the_curve_of_the_row_without_a_network() -> None:
     dark = 0.3 * torch.rand(2, 3, 7, 5, dtype=torch.float64, generator=torch.Generator().manual_seed(4))
-    for each, found in zip(dark, response(dark, half), strict=True):
-        wanted, _ = naka(each.movedim(0, -1), NakaConfig(half=half), None, None)
+    for each, found in zip(dark, response(dark), strict=True):
+        wanted, _ = naka(each.movedim(0, -1), NakaConfig(), None, None)
         torch.testing.assert_close(found.movedim(0, -1), wanted, rtol=0, atol=1e-12)
 
 
 def test_a_flat_picture_stays_finite_and_has_finite_slopes() -> None:
-    made, flat = randomised(Correction(0.05, 8)), torch.full((1, 3, 8, 8), 0.25, dtype=torch.float64)
-    assert torch.equal(response(flat, 0.05), flat)
+    made, flat = randomised(Correction(8)), torch.full((1, 3, 8, 8), 0.25, dtype=torch.float64)
+    assert torch.equal(response(flat), flat)
     assert torch.equal(even(flat), torch.zeros_like(flat))
     found = made(flat.requires_grad_())
     found.sum().backward()
@@ -171,7 +170,7 @@ def as_published(network: Correction) -> dict[str, object]:
 
 def test_a_file_of_the_authors_is_read_as_it_is(tmp_path: Path) -> None:
     torch.manual_seed(5)
-    made = Correction(0.05)
+    made = Correction()
     assert sum(value.numel() for value in made.parameters()) == 5_443_620  # the authors' class has as many
     torch.save(as_published(made), tmp_path / "best.pth")
     config = NakaNetConfig(weights=(tmp_path / "best.pth",))
@@ -183,7 +182,7 @@ def test_a_file_of_the_authors_is_read_as_it_is(tmp_path: Path) -> None:
 
 
 def test_an_older_file_has_a_factor_for_each_channel(tmp_path: Path) -> None:
-    made = Correction(0.05)
+    made = Correction()
     saved = as_published(made)
     weights = {name: value.clone() for name, value in made.state_dict().items()}
     weights["mul_head.weight"], weights["mul_head.bias"] = torch.randn(3, 32, 3, 3), torch.tensor([0.0, 1.0, 5.0])
@@ -195,7 +194,7 @@ def test_an_older_file_has_a_factor_for_each_channel(tmp_path: Path) -> None:
 
 
 def test_a_file_of_another_network_is_refused(tmp_path: Path) -> None:
-    torch.save({"model": Correction(0.05, 16).state_dict()}, tmp_path / "other.pth")
+    torch.save({"model": Correction(16).state_dict()}, tmp_path / "other.pth")
     with pytest.raises(
         ValueError, match="other.pth: the network needs a tensor stem.block.0.weight of .*another network"
     ):
@@ -204,7 +203,7 @@ def test_a_file_of_another_network_is_refused(tmp_path: Path) -> None:
 
 def test_a_scene_is_fitted_to_the_corrected_pictures(tmp_path: Path) -> None:
     torch.manual_seed(6)
-    torch.save(as_published(Correction(0.05)), tmp_path / "best.pth")
+    torch.save(as_published(Correction()), tmp_path / "best.pth")
     inputs, _ = photographed("a7s2-iso6400-3chip")  # 96 px
     config = changed(METHODS["naka-net-gs"].config(), {"fit.iterations": 2}, what="x")
     enhance = NakaNetConfig(weights=(tmp_path / "best.pth",))
@@ -215,9 +214,3 @@ def test_a_scene_is_fitted_to_the_corrected_pictures(tmp_path: Path) -> None:
     assert result.render(inputs.views)[0].isfinite().all()
     with pytest.raises(LacksInput, match="Naka-GS has no weights: set enhance.weights to the authors' best.pth"):
         METHODS["naka-net-gs"].train(inputs, config)
-
-
-@pytest.mark.parametrize("half", [0.0, -1.0, float("inf"), float("nan")])
-def test_a_response_that_is_no_curve_is_refused(half: float) -> None:
-    with pytest.raises(ValueError, match="half must be > 0 and finite, got"):
-        NakaNetConfig(half=half)

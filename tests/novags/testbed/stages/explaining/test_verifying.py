@@ -1,10 +1,11 @@
-"""Claims about `novags verify`: what is made again is what it was, and what is not so is named, with its stage."""
+"""Claims about `novags verify`: equal results are said to be equal, and every difference is named with its stage."""
 
 import json
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -15,6 +16,7 @@ from novags.testbed.folders.run import open_run
 from novags.testbed.stages.configs.capturing import CaptureConfig
 from novags.testbed.stages.configs.rendering import RenderConfig
 from novags.testbed.stages.explaining import verifying as module
+from novags.testbed.stages.explaining.recorded import taking_of
 from novags.testbed.stages.explaining.verifying import RECORD, Verified, chosen_runs, verify
 from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
 
@@ -125,7 +127,7 @@ def test_settings_that_this_version_does_not_have_are_not_made_into_others(
     for stage in ("set", "capture"):
         assert not parts[stage].same
         assert parts[stage].line() == (
-            f"naive: {stage}: not made again: this version does not make it again as it was made"
+            f"naive: {stage}: not made again: this version does not make the {stage} again as it was made"
         )
     assert parts["run"].same
 
@@ -133,12 +135,40 @@ def test_settings_that_this_version_does_not_have_are_not_made_into_others(
 def test_photographs_and_their_captures_are_named_as_what_cannot_be_made_again(capture: Path, tmp_path: Path) -> None:
     fitted(shutil.copytree(capture.parent, tmp_path / "foreign") / "capture", tmp_path / "runs", "naive")
     parts = verify(chosen_runs([tmp_path / "runs"], 1, 0), tmp_path / "again", QUIET)
-    assert [part.why_not for part in parts] == ["it shows no scene of the catalogue", "", "", ""]
+    assert [part.why_not for part in parts] == ["the set shows no scene of the catalogue", "", "", ""]
     assert [part.same for part in parts] == [False, True, True, True]
 
 
-def test_inputs_that_have_changed_are_refused_before(place: Path) -> None:
-    picture = place / "capture" / "images" / "0001.png"
+def test_a_run_that_cannot_be_made_here_does_not_cost_the_others(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    reconstruct = module.reconstruct
+
+    def lacking(capture: Path, out: Path, config: Any, console: Console, **more: Any) -> Any:
+        if config.variant.name == "naive":
+            raise ValueError("its weights are not here")
+        return reconstruct(capture, out, config, console, **more)
+
+    monkeypatch.setattr(module, "reconstruct", lacking)
+    parts = found(place, "naive", "raw-gs")
+    assert [part.why_not for part in parts] == ["", "", *["its weights are not here"] * 2, "", "", "", ""]
+    assert [part.same for part in parts] == [True, True, False, False, True, True, True, True]
+    assert len(json.loads((place.parent / "again" / RECORD).read_text())["parts"]) == 8
+
+
+@pytest.mark.parametrize(
+    ("sensor", "more", "why"),
+    [("own camera", {}, "its camera, own camera, is not in the catalogue"),
+     ("a7s2-iso6400", {"dark_frames": "hash"}, "its noise comes from dark frames")],
+)  # fmt: skip
+def test_captures_that_need_files_of_the_user_say_so(sensor: str, more: dict[str, str], why: str) -> None:
+    record = SimpleNamespace(sensor_name=sensor, stage={"config": more})
+    capture: Any = SimpleNamespace(record=record, imported=None)
+    with pytest.raises(ValueError, match=why):
+        taking_of(capture)
+
+
+@pytest.mark.parametrize("part", ["capture", "set"])
+def test_inputs_that_have_changed_are_refused_before(part: str, place: Path) -> None:
+    picture = place / part / "images" / "0001.png"
     picture.write_bytes(picture.read_bytes()[::-1])
     with pytest.raises(ValueError, match="0001.png"):
         found(place, "naive")
@@ -160,7 +190,7 @@ def test_the_command_ends_with_three_where_something_differs(
     monkeypatch.chdir(place)
     assert call("verify", "runs/naive", "--out", "again") == 0
     assert "naive: run: all " in capsys.readouterr().out
-    monkeypatch.setattr(module, "_rendered", lambda *_: {"stage": {"files": {}}})
+    monkeypatch.setattr(module, "render", lambda *_, **__: {"stage": {"files": {}}})
     assert call("verify", "runs/naive", "--out", "again") == 3
     assert "naive: set: " in capsys.readouterr().out
     assert call("verify", "runs/naive", "--out", "other", "--count", "0") == 2
