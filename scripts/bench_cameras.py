@@ -6,8 +6,10 @@
         poses by sources of cameras at 200 to 1 electrons on four scenes, single exposures and means of eight: shares
         registered, areas under the curve of pair errors, trajectory and depth errors
 
-A SOURCE is spelt as for `novags reconstruct --cameras`: a network needs its own installation and weights. Rows are kept
-in DIR/light.csv: the same command continues, and another SOURCE comes beside what is there.
+A SOURCE is spelt as for `novags reconstruct --cameras`: a network needs its own installation and weights. Or it is
+`poses`, of `novags poses` with settings as for `sfm`: it is told a focal length in the header of each photograph, as
+cameras write it, and finds lens and cameras. Rows are kept in DIR/light.csv: the same command continues, and another
+SOURCE comes beside what is there.
 """
 
 import argparse
@@ -15,11 +17,14 @@ import csv
 import math
 import time
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 import torch
+from PIL import Image
 
 from novags.process import settle
 
@@ -68,6 +73,8 @@ def light(options: argparse.Namespace) -> None:
 
 def measured(capture: Any, cameras: str, seed: int) -> dict[str, float]:
     """What a source finds of all views of a capture, `SCORES`; nan where it finds nothing that could be measured."""
+    if cameras.split(":")[0] == "poses":
+        return measured_poses(capture, cameras, seed)
     from novags.cameras import parse_cameras
     from novags.cameras.align import align, depth_ratios
     from novags.testbed.console.terminal import Console
@@ -90,6 +97,32 @@ def measured(capture: Any, cameras: str, seed: int) -> dict[str, float]:
     ratios = depth_ratios(found, aligned.similarity, true[chosen], Ks, torch.from_numpy(depths))
     depth = float(np.median(np.abs(ratios - 1))) if len(ratios) else math.nan
     return poses(found.viewmats.numpy(), true.numpy(), found.registered) | {"depth": depth, "seconds": seconds}
+
+
+def measured_poses(capture: Any, cameras: str, seed: int) -> dict[str, float]:
+    """The same of `novags poses` with the settings after the colon; no depth."""
+    from novags.testbed import stages
+    from novags.testbed.console.terminal import Console
+    from novags.testbed.stages.camera_source import true_cameras
+    from novags.testbed.stages.configs.posing import PosesConfig
+    from simscenes import load_set
+
+    settings: dict[str, Any] = dict(one.split("=") for one in cameras[6:].split(",") if one)
+    rig, start = capture.cameras.rig, time.process_time()
+    exif, registered, viewmats = Image.Exif(), list[int](), np.zeros((0, 4, 4))
+    exif.get_ifd(0x8769)[0xA405] = round(43.267 * rig.Ks[0, 0, 0] / math.hypot(rig.width, rig.height))  # 35 mm
+    with TemporaryDirectory() as folder:
+        (taken := Path(folder) / "taken").mkdir()
+        for i in range(len(rig)):
+            picture = Image.fromarray(np.round(255 * capture.srgb8(i)).astype(np.uint8))
+            picture.save(taken / f"{i:04d}.png", exif=exif)
+        with suppress(ValueError):  # too few views, which is a measurement too
+            config = PosesConfig(photographs=taken, seed=seed, **settings)
+            stages.poses(Path(folder) / "set", config, Console(quiet=True))
+            found = load_set(Path(folder) / "set")
+            registered, viewmats = [int(name) for name in found.names], found.rig.viewmats
+    seconds = time.process_time() - start
+    return poses(viewmats, true_cameras(capture).numpy(), registered) | {"depth": math.nan, "seconds": seconds}
 
 
 def poses(found: np.ndarray, true: np.ndarray, registered: Sequence[int]) -> dict[str, float]:

@@ -96,8 +96,9 @@ def render(
 
 def poses(
     photographs: Folder, *, out: Path, fps: float | None = None, max_size: int | None = 1600, max_features: int = 4096,
-    peak_threshold: float = 0.0067, seed: int = 0, overwrite: bool = False, wait: bool = False,
-    dry_run: bool = False,
+    peak_threshold: float = 0.0067, pictures: Literal["auto", "raw", "enhanced", "denoised"] = "auto",
+    mapper: Literal["auto", "incremental", "global"] = "auto", seed: int = 0, overwrite: bool = False,
+    wait: bool = False, dry_run: bool = False,
 ) -> None:  # fmt: skip
     """Find the unknown cameras of photographs, and make a multiview set of them.
 
@@ -107,7 +108,9 @@ def poses(
         fps: Frames to take from each second of a video; 2 if not given.
         max_size: Scale larger photographs down to this longest side first, in pixels; None keeps them.
         max_features: Features in a picture, the largest ones.
-        peak_threshold: Contrast of a feature, 0 to 1; lower it for soft or dark photographs.
+        peak_threshold: Contrast of a feature, 0 to 1; lower it for soft photographs.
+        pictures: In which features are looked for; auto: denoised if the photographs are dark, else raw.
+        mapper: Grow from one pair, or solve for all cameras at once; auto: global with denoised pictures.
         seed: Of the robust estimates.
         overwrite: Replace a finished result of another request in the same folder.
         wait: If another process is writing there, wait until it is done instead of refusing.
@@ -118,7 +121,7 @@ def poses(
 
     config = PosesConfig(
         photographs=photographs, fps=fps, max_size=max_size, max_features=max_features, peak_threshold=peak_threshold,
-        seed=seed,
+        pictures=pictures, mapper=mapper, seed=seed,
     )  # fmt: skip
     with writing(out, wait, dry_run=dry_run) as console:
         stages.poses(out, config, console, overwrite=overwrite)

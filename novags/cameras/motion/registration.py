@@ -1,7 +1,7 @@
 """Unknown cameras of photographs, by COLMAP (pycolmap): features, matches, mapping with the lens.
 
-`sfm` places dark pictures whose lens is known. Here lens, distortion included, and poses are found together, from large
-and bright photographs. Everything runs on the CPU with one thread, and is the same for the same seed.
+`sfm` places dark pictures whose lens is known. Here lens, distortion included, and poses are found together. Everything
+runs on the CPU with one thread, and is the same for the same seed.
 """
 
 from collections.abc import Sequence
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from novags.cameras.estimate import Array
 from novags.cameras.motion.colmap import SEEDS, detect, extraction, largest, quiet, verification
+from novags.cameras.settings import Mapper
 from novags.cameras.source import Progress
 from simscenes.sets.readers.colmap import colmap_lens
 from simscenes.sets.readers.photographs import DistortedPinhole
@@ -78,8 +79,8 @@ class Registered:
 
 
 def register(
-    folder: Path, shots: Sequence[Shot], *, max_features: int, peak_threshold: float, in_order: bool, seed: int,
-    progress: Progress,
+    folder: Path, shots: Sequence[Shot], *, max_features: int, peak_threshold: float, mapper: Mapper, in_order: bool,
+    seed: int, progress: Progress,
 ) -> Registered | None:  # fmt: skip
     """Place as many pictures as one reconstruction can hold.
 
@@ -88,6 +89,7 @@ def register(
         shots: The pictures.
         max_features: A picture.
         peak_threshold: Contrast of a feature, 0..1.
+        mapper: Grows from one pair, or solves for all cameras at once.
         in_order: Whether they are frames of a video: then those far apart need not be matched.
         seed: Of RANSAC and mapping.
         progress: Called with (done, total, what).
@@ -106,10 +108,13 @@ def register(
         _detect(pycolmap, database, folder, shots, options, progress)
         _match(pycolmap, database, folder, shots, in_order, seed, progress)
         placed = iter(range(2 * len(shots) + 1, total))
-        models = pycolmap.incremental_mapping(
-            database, folder, folder, _mapping(pycolmap, seed),
-            next_image_callback=lambda: progress(next(placed, total - 1), total, "poses"),
-        )  # fmt: skip
+        if mapper == "global":
+            models = pycolmap.global_mapping(database, folder, folder, _global(pycolmap, seed))
+        else:
+            models = pycolmap.incremental_mapping(
+                database, folder, folder, _incremental(pycolmap, seed),
+                next_image_callback=lambda: progress(next(placed, total - 1), total, "poses"),
+            )  # fmt: skip
         progress(total, total, "poses")
     model = largest(models)
     if model is None or model.num_reg_images() < PLACED:
@@ -178,7 +183,15 @@ def _match(
         )
 
 
-def _mapping(pycolmap: Any, seed: int) -> Any:
+def _global(pycolmap: Any, seed: int) -> Any:
+    options = pycolmap.GlobalPipelineOptions(
+        num_threads=1, random_seed=seed % SEEDS, min_num_matches=MIN_MATCHES, min_model_size=PLACED
+    )
+    options.mapper.bundle_adjustment.ceres.use_gpu = options.mapper.global_positioning.use_gpu = False
+    return options
+
+
+def _incremental(pycolmap: Any, seed: int) -> Any:
     options = pycolmap.IncrementalPipelineOptions(
         num_threads=1,
         random_seed=seed % SEEDS,

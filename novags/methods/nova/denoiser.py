@@ -158,12 +158,20 @@ class Denoiser:
 
         Differentiable in the weights, unless it was demosaiced.
         """
-        noisy = self.images[view : view + 1].contiguous()
-        clean = self.predict(noisy).clamp(0, 1)
-        mixed = torch.lerp(clean, noisy, self.config.noisy_share)[0]
+        mixed = self._mixed(self.images[view : view + 1])
         if self.cfa is None:
             return mixed.movedim(0, -1)
         return demosaiced(mixed, self.cfa, *self.size).clamp(0, 1)  # its filters overshoot
+
+    def denoised(self, picture: Tensor) -> Tensor:
+        """Another picture [H, W, 3] of the same kind, denoised, without gradient; not of packed mosaics."""
+        with torch.no_grad():
+            return self._mixed(picture.movedim(-1, 0)[None]).movedim(0, -1)
+
+    def _mixed(self, noisy: Tensor) -> Tensor:
+        """The network's estimate for one picture [1, D, H, W], with the configured share of the picture: [D, H, W]."""
+        noisy = noisy.contiguous()
+        return torch.lerp(self.predict(noisy).clamp(0, 1), noisy, self.config.noisy_share)[0]
 
     def denoise_all(self) -> Tensor:
         """I_clean of all views, [C, H, W, 3] in 0..1, without gradient."""

@@ -62,7 +62,7 @@ def _found(
             views = dataclasses.replace(source.views, rig=capture.cameras.rig).about(origin_of(capture))
         return estimate_cameras(config, views, indices, dark, n_points=points, seed=seed)
     with console.progress("cameras") as progress:
-        pictures = SEEN[config.looks_at](dark, seed)
+        pictures = np.stack(list(SEEN[config.looks_at](tuple(dark), seed)))
         return estimate_cameras(
             config, views, indices, dark, pictures=pictures, n_points=points, seed=seed, device=device,
             progress=progress,

@@ -2,11 +2,12 @@
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from scipy.spatial.transform import Rotation
 
 from novags.cameras.doubts import LARGE_ERROR, camera_doubts, few_views, lens_doubts, same_photographs
@@ -21,6 +22,7 @@ from novags.testbed.ledger.stage import run_stage
 from novags.testbed.stages.configs.posing import PosesConfig
 from novags.testbed.stages.layouts import RECORD, SET_FILES
 from novags.testbed.stages.paths import keep_apart
+from novags.testbed.stages.seen import SEEN
 from sensor_model.files.reading import some
 from sensor_model.files.scratch import scratch
 from simscenes.rigs import Rig
@@ -30,6 +32,8 @@ from simscenes.sets.pictures.png import write_png
 from simscenes.sets.readers.bare import SUFFIXES, Bare, picture_files, survey, without_masks
 from simscenes.sets.writers.camera_files import write_cameras
 
+DARK = 0.2  # sRGB-encoded, 0..1: photographs are dark if nine of ten pixels of the median one are below
+LOOKED_AT = 9  # photographs, to know whether all are dark
 BETTER = "take them with more overlap, from places that differ, sharp, with texture and little noise"
 
 
@@ -68,6 +72,9 @@ def poses(
     console.note(f"poses: {record['registered']} of {record['photographs']} photographs have a place")
     if missing := left_out(record["unregistered"], record["photographs"]):
         console.warn(missing)
+    if record.get("dark") and config.pictures == "auto":
+        console.note(f"poses: the photographs are dark: cameras are from {record['pictures']} pictures; "
+                     "--pictures raw looks at the photographs as they are")  # fmt: skip
     for doubt in record.get("doubts", ()):
         console.warn(doubt)
     return record
@@ -127,12 +134,15 @@ def place(files: dict[str, Path], out: Path, config: PosesConfig, console: Conso
             files = {label: file for file, label in frames.items()}
         bare, size = survey(list(files.values()), config.max_size)
         shots = [Shot(f"{k:06d}.png", one.camera, one.focal) for k, one in enumerate(bare)]
+        pictures, mapper = config.search(dark := are_dark(bare))
         with console.progress("poses") as update:
-            for shot, one in zip(shots, bare, strict=True):
-                write_png(folder / shot.name, one.pixels())
+            looked_at = SEEN[pictures](Encoded(bare), config.seed)
+            for k, (shot, picture) in enumerate(zip(shots, looked_at, strict=True)):
+                write_png(folder / shot.name, picture)
+                update(k + 1, len(shots), f"{pictures} pictures")
             found = register(
-                folder, shots, max_features=config.max_features, peak_threshold=config.peak_threshold, in_order=video,
-                seed=config.seed, progress=update,
+                folder, shots, max_features=config.max_features, peak_threshold=config.peak_threshold, mapper=mapper,
+                in_order=video, seed=config.seed, progress=update,
             )  # fmt: skip
         if found is None:
             raise ValueError(
@@ -144,7 +154,28 @@ def place(files: dict[str, Path], out: Path, config: PosesConfig, console: Conso
                 "common that has a depth, as if the camera only turned: take them from places that differ"
             )
         names = write_set(out, list(files.values()), bare, levelled(found), size, config.name)
-    return _facts(config.name, list(files), bare, found, size, names)
+    searched = {"dark": dark, "pictures": pictures, "mapper": mapper}
+    return _facts(config.name, list(files), bare, found, size, names) | searched
+
+
+@dataclass(frozen=True)
+class Encoded(Sequence[torch.Tensor]):
+    """Photographs, sRGB-encoded, 0..1 [h, w, 3], each read when it is asked for."""
+
+    bare: Sequence[Bare]
+
+    def __len__(self) -> int:
+        return len(self.bare)
+
+    def __getitem__(self, k: Any) -> Any:
+        return torch.from_numpy(self.bare[k].pixels()).float() / 255
+
+
+def are_dark(bare: Sequence[Bare]) -> bool:
+    """Whether photographs are dark, by some of them."""
+    some_of_them = np.linspace(0, len(bare) - 1, min(len(bare), LOOKED_AT)).round().astype(int)
+    levels = [np.quantile(bare[k].pixels().mean(-1), 0.9) for k in some_of_them]
+    return bool(np.median(levels) < 255 * DARK)
 
 
 def levelled(found: Registered) -> Registered:

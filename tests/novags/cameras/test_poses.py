@@ -2,6 +2,7 @@
 
 import io
 import json
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -26,6 +27,8 @@ from novags.testbed.ledger.contents import folder_digest
 from novags.testbed.stages import posing
 from novags.testbed.stages.configs.posing import PosesConfig
 from novags.testbed.stages.posing import levelled
+from novags.testbed.stages.seen import denoised
+from sensor_model.isp import srgb_to_linear, to_srgb8
 from simscenes import load_set, orbit_rig
 from simscenes.sets.multiview import is_rendered
 from simscenes.sets.readers.bare import picture_files, survey
@@ -326,3 +329,44 @@ def test_a_lens_of_many_pictures_has_all_its_parameters_and_starts_as_stated(
     stated = [float(value) for value in new[1][1].camera_params.split(",")]
     assert stated == [*focal, 20, 15, *[0] * (4 if len(focal) == 2 else 1)]
     assert {reader.existing_camera_id for _, reader in lenses[2:]} == {8}
+
+
+def test_the_global_mapper_finds_the_same_cameras_and_lens(taken, tmp_path: Path) -> None:
+    record = stages.poses(tmp_path / "set", PosesConfig(photographs=taken[1], mapper="global"), QUIET)
+    views = load_set(tmp_path / "set")
+    assert record["mapper"] == "global"
+    kept = [i for i in range(9) if i != TURNED]
+    where = [int(name.split()[1]) for name in views.names]
+    assert set(kept) <= set(where)
+    found = align(torch.tensor(views.rig.viewmats), torch.tensor(taken[0].rig.viewmats[where]))
+    assert np.asarray(found.rotation_deg)[[where.index(i) for i in kept]].max() < 0.5
+    lens = max(record["lenses"], key=lambda lens: abs(lens["distortion"][0]))
+    assert lens["K"][0][0] == pytest.approx(FOCAL, rel=0.03)
+    assert lens["distortion"][0] == pytest.approx(K1, abs=0.03)
+
+
+def test_dark_photographs_have_their_place_where_their_own_features_are_noise(
+    corner, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ten electrons of white in shot noise, shown as a camera shows them: black."""
+    monkeypatch.setattr(denoised, "STEPS", 60)
+    scene, draw = corner(10, WIDTH, HEIGHT), np.random.default_rng(0)
+    exif = Image.Exif()
+    exif.get_ifd(0x8769)[0xA405] = round(43.267 * FOCAL / np.hypot(WIDTH, HEIGHT))
+    (tmp_path / "dark").mkdir()
+    for i, viewmat in enumerate(scene.rig.viewmats):
+        K = np.array([[FOCAL, 0, WIDTH / 2], [0, FOCAL, HEIGHT / 2], [0, 0, 1.0]])
+        light = srgb_to_linear(scene.see(viewmat, K, WIDTH, HEIGHT)[0] / 255)
+        code = to_srgb8(draw.poisson(10 * light) / 1000)
+        Image.fromarray(code).save(tmp_path / "dark" / f"{i}.png", exif=exif)
+    found = {}
+    for pictures in ("auto", "raw"):
+        with suppress(ValueError):
+            stages.poses(tmp_path / pictures, PosesConfig(photographs=tmp_path / "dark", pictures=pictures), QUIET)
+            views = load_set(tmp_path / pictures)
+            where = [int(name) for name in views.names]
+            aligned = align(torch.tensor(views.rig.viewmats), torch.tensor(scene.rig.viewmats[where]))
+            found[pictures] = len(where), np.asarray(aligned.rotation_deg).mean()
+    assert found["auto"][0] == 10
+    assert found["auto"][1] < 1
+    assert "raw" not in found or found["raw"][0] < 8

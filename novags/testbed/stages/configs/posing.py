@@ -2,22 +2,25 @@
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
-from novags.cameras.settings import FEATURES
+from novags.cameras.settings import FEATURES, Mapper, Pictures, check_one_of
 from novags.numbers import SIDE, check_range
 from novags.settings import check_seed
 from novags.testbed.folders.photographs.video import is_video
 from novags.testbed.folders.set import for_photographs
 from novags.testbed.ledger.code import Code, code_of
+from novags.testbed.stages.seen import SEEN
 from sensor_model.files.door import resolved
 
 FPS = 2.0  # of a video, if not given
 
 
 FASTEST = 100_000  # frames a second of a video
+Looked = Literal["auto"] | Pictures
+Mapped = Literal["auto"] | Mapper
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,6 +32,8 @@ class PosesConfig:
     max_size: int | None = 1600  # px; photographs are scaled down to this longest side before anything else
     max_features: int = 4096  # per picture, the largest ones
     peak_threshold: float = 0.0067  # contrast of a feature, 0..1; COLMAP's own
+    pictures: Looked = "auto"  # that are looked for features; auto: denoised if the photographs are dark, else raw
+    mapper: Mapped = "auto"  # auto: global with denoised pictures, else incremental
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -43,6 +48,9 @@ class PosesConfig:
         if self.max_features < 100 or not 0 < self.peak_threshold < 1:
             raise ValueError(f"max_features must be >= 100 and peak_threshold in (0, 1), got {self.max_features} and "
                              f"{self.peak_threshold}")  # fmt: skip
+        for what, value, kinds in (("pictures", self.pictures, Pictures), ("mapper", self.mapper, Mapper)):
+            if value != "auto":
+                check_one_of(f"{what} of poses", value, kinds)
         check_range("fps", self.frames_a_second, 0, FASTEST, " frames a second")
         check_range("max_size", self.max_size or SIDE, 64, SIDE, " px")
         check_range("max_features", self.max_features, 100, FEATURES)
@@ -56,7 +64,18 @@ class PosesConfig:
     @property
     def code(self) -> Code:
         """What finds them."""
-        return code_of("novags.testbed.stages.posing", *for_photographs())
+        looked = ("raw", "denoised") if self.pictures == "auto" else (self.pictures,)
+        return code_of("novags.testbed.stages.posing", *map(SEEN.module_of, looked), *for_photographs())
+
+    def search(self, dark: bool) -> tuple[Pictures, Mapper]:
+        """The pictures that are looked for features, and the mapper, of photographs that are `dark` or not."""
+        pictures = self.pictures
+        if pictures == "auto":
+            pictures = "denoised" if dark else "raw"
+        mapper = self.mapper
+        if mapper == "auto":
+            mapper = "global" if pictures == "denoised" else "incremental"
+        return pictures, mapper
 
     @property
     def frames_a_second(self) -> float:

@@ -1,18 +1,20 @@
 """The dark pictures, enhanced as the paper does."""
 
+from collections.abc import Iterator, Sequence
+
 import numpy as np
-import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from novags.methods.enhancers import guided
 from novags.testbed.stages.seen.raw import codes
 
 
-def pictures(dark: Tensor, seed: int) -> np.ndarray:
+def pictures(dark: Sequence[Tensor], seed: int) -> Iterator[NDArray[np.uint8]]:
     """As `SEEN` says."""
-    return codes(enhanced(dark))
+    return (codes(enhanced(view)) for view in dark)
 
 
-def enhanced(dark: Tensor) -> Tensor:
-    """The enhanced pictures [C, h, w, 3]."""
-    return torch.stack([guided.enhance(view)[0] for view in dark])
+def enhanced(view: Tensor) -> Tensor:
+    """One enhanced picture [h, w, 3]."""
+    return guided.enhance(view)[0]

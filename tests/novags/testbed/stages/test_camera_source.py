@@ -1,5 +1,6 @@
 """Claims about the frame that a reconstruction lives in, and about what a capture gives methods with wrong cameras."""
 
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -119,7 +120,7 @@ def test_exact_cameras_stay_exact_to_the_bit(rig: Rig) -> None:
 
 def test_pictures_for_matching_are_those_that_were_asked_for() -> None:
     dark = torch.rand(2, 32, 32, 3, generator=torch.Generator().manual_seed(0)) * 0.1
-    raw, enhanced = SEEN["raw"](dark, 0), SEEN["enhanced"](dark, 0)
+    raw, enhanced = (np.stack(list(SEEN[kind](tuple(dark), 0))) for kind in ("raw", "enhanced"))
     assert (raw == np.round(dark.numpy() * 255)).all()
     assert raw.mean() < 15
     assert enhanced.mean() == pytest.approx(0.5 * 255, abs=25)  # the enhancement's target
@@ -194,9 +195,9 @@ def test_the_seed_reaches_the_pictures_for_matching_and_the_source(
         seeds.append(seed)
         raise ValueError("far enough")
 
-    def shown(dark: torch.Tensor, seed: int) -> np.ndarray:
+    def shown(dark: Sequence[torch.Tensor], seed: int) -> Iterator[np.ndarray]:
         seeds.append(seed)
-        return codes(dark)
+        return map(codes, dark)
 
     monkeypatch.setattr(camera_source, "estimate_cameras", stopped)
     monkeypatch.setattr(camera_source, "SEEN", {"raw": shown})

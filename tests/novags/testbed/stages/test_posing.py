@@ -1,5 +1,6 @@
-"""On which files the cameras of photographs depend."""
+"""On which files the cameras of photographs depend, and in which pictures they are looked for."""
 
+import io
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -154,3 +155,80 @@ def test_cameras_and_points_are_turned_upright_together() -> None:
         np.testing.assert_allclose(
             upright.points @ after[:3, :3].T + after[:3, 3], points @ before[:3, :3].T + before[:3, 3], atol=1e-9
         )
+
+
+@pytest.mark.parametrize(
+    ("values", "dark"),
+    [([50] * 3, True), ([52] * 3, False), ([20, 50, 200], True), ([20, 60, 200], False), ([0] * 3, True),
+     ([10] * 20 + [200] * 4, True)],
+)  # fmt: skip
+def test_photographs_are_dark_by_nine_tenths_of_the_pixels_of_the_median_one(values: list[int], dark: bool) -> None:
+    bare: Any = [SimpleNamespace(pixels=lambda v=v: np.full((10, 20, 3), v, np.uint8)) for v in values]
+    assert posing.are_dark(bare) is dark
+    lamps: Any = [SimpleNamespace(pixels=lambda: np.where(np.arange(200).reshape(10, 20, 1) < 18, 255, [8, 9, 10]))]
+    assert posing.are_dark(lamps) is True
+    black_background: Any = [SimpleNamespace(pixels=lambda: np.where(np.arange(200).reshape(10, 20, 1) < 30, 99, 0))]
+    assert posing.are_dark(black_background) is False
+
+
+@pytest.mark.parametrize(
+    ("code", "asked", "found"),
+    [(9, {}, ("denoised", "global")), (90, {}, ("raw", "incremental")),
+     (9, {"pictures": "raw"}, ("raw", "incremental")), (90, {"pictures": "denoised"}, ("denoised", "global")),
+     (9, {"mapper": "incremental"}, ("denoised", "incremental")), (90, {"mapper": "global"}, ("raw", "global")),
+     (9, {"pictures": "enhanced"}, ("enhanced", "incremental"))],
+)  # fmt: skip
+def test_cameras_of_dark_photographs_are_looked_for_in_denoised_pictures_unless_others_are_named(
+    code: int, asked: dict[str, Any], found: tuple[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """COLMAP is handed these pictures, in the order of the photographs, and the set has the photographs themselves."""
+    given = dict[str, Any]()
+
+    def register(folder: Path, shots: Any, **settings: Any) -> Any:
+        shown = [np.round(255 * read_png(folder / shot.name)).astype(int)[0, 0, 0] for shot in shots]
+        given.update(settings, shown=shown)
+        rig = orbit_rig(3, 40, 30, 50.0, radius=3.0)
+        lens = DistortedPinhole(K=rig.Ks[0], distortion=(0.0,) * 5)
+        seen = tuple(posing.Observed(np.arange(3), np.full((3, 2), 4.0), np.zeros((3, 2))) for _ in range(3))
+        return posing.Registered((0, 1, 2), rig.viewmats, (lens,) * 3, np.eye(3), seen, 0.5)
+
+    def marked(kind: str) -> Any:
+        more = {"raw": 0, "enhanced": 1, "denoised": 2}[kind]
+        return lambda dark, seed: (
+            np.round(255 * view.numpy()).astype(np.uint8) + np.uint8(70 * (seed == 5) * more) for view in dark
+        )
+
+    monkeypatch.setattr(posing, "register", register)
+    monkeypatch.setattr(posing, "SEEN", {kind: marked(kind) for kind in ("raw", "enhanced", "denoised")})
+    for k in range(3):
+        write_png(tmp_path / "photos" / f"{k}.png", np.full((30, 40, 3), code + k, np.uint8))
+    said = io.StringIO()
+    record = posing.poses(
+        tmp_path / "set", PosesConfig(photographs=tmp_path / "photos", seed=5, **asked), Console(stream=said)
+    )
+    pictures, mapper = found
+    assert given["mapper"] == mapper
+    assert given["shown"] == [code + k + 70 * ["raw", "enhanced", "denoised"].index(pictures) for k in range(3)]
+    assert {name: record[name] for name in ("dark", "pictures", "mapper")} == {
+        "dark": code == 9, "pictures": pictures, "mapper": mapper
+    }  # fmt: skip
+    for k in range(3):
+        assert (np.round(255 * read_png(tmp_path / "set" / "images" / f"{k}.png")) == code + k).all()
+    told = "the photographs are dark: cameras are from denoised pictures; --pictures raw" in said.getvalue()
+    assert told is (code == 9 and "pictures" not in asked)
+
+
+def test_only_the_pictures_that_may_be_looked_at_belong_to_the_code(tmp_path: Path) -> None:
+    def network(pictures: Any) -> bool:
+        return "novags/methods/nova/denoiser.py" in PosesConfig(photographs=tmp_path, pictures=pictures).code.files
+
+    assert {kind: network(kind) for kind in ("auto", "raw", "enhanced", "denoised")} == {
+        "auto": True, "raw": False, "enhanced": False, "denoised": True
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["pictures", "mapper"])
+def test_kinds_that_are_not_there_are_named(name: str, tmp_path: Path) -> None:
+    wrong: dict[str, Any] = {name: "bright"}
+    with pytest.raises(ValueError, match=rf"{name} of poses must be one of .*(raw|global).*, got 'bright'"):
+        PosesConfig(photographs=tmp_path, **wrong)
