@@ -39,6 +39,7 @@ LAYERS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("testing",),
         ("options", "failure"),
         ("commands",),
+        ("interface",),
         ("cli", "__main__"),
     ),
     "novags.testbed": (

@@ -24,6 +24,8 @@ PRINTED = {  # what the last lines of a page's examples say, where that is worth
     "own-metric.md": r"naive 0\.00\d{2}\noracle 0\.[1-9]\d{3}",
     "in-python.md": r"\(32, 32, 3\) .* \[0, 8\]\nuint16 1\.0 .*'photon_shot'.*\(1, 32, 32, 3\) True\n"
     r"4000 0\.\d+\n.*0000.*0\.\d{4}\n",
+    "recipes.md": r"\['naive', 'oracle'\] .*tabular.*oracle & naive & -?\d\.\d+ & .*0001 \[.*\n0\.5\n0\.\d+\n"
+    r"median \d+%\nTrue\nTrue .*20 e-: \d\d\.\d dB\n5 e-: \d\d\.\d dB\n",
 }
 
 

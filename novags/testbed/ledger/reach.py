@@ -23,8 +23,9 @@ PACKAGES = ("novags", "simscenes", "sensor_model")
 # Modules that return nothing that a result depends on: they tell, show, wait, lock and compare. And the presets of
 # cameras: a configuration holds every value of its camera.
 OUTSIDE = (
-    *(f"novags.{name}" for name in ("cli", "commands", "failure", "options", "process", "testing", "warm")),
+    *(f"novags.{name}" for name in ("cli", "commands", "failure", "interface", "options", "process", "testing")),
     *(f"novags.testbed.{name}" for name in ("console", "flight", "ledger", "report", "viewer")),
+    "novags.warm",
     "novags.splats.warm",
     "novags.fields.warm",
     "sensor_model.fast.machine_code",

@@ -1,0 +1,9 @@
+from .interface.commanding import BackgroundCommand as BackgroundCommand
+from .interface.commanding import CommandError as CommandError
+from .interface.commanding import run as run
+from .interface.commanding import study as study
+from .interface.frames import frame as frame
+from .interface.opening import StudyResults as StudyResults
+from .interface.opening import open as open
+from .testbed.folders.capture import Capture as Capture
+from .testbed.folders.run import Run as Run
