@@ -19,7 +19,7 @@ from novags.commands.looking import video, view
 from novags.commands.new import new
 from novags.commands.pareto import pareto
 from novags.commands.photographs import denoise, import_
-from novags.commands.results import characterise, explain, export_results, report, score, verify
+from novags.commands.results import characterise, explain, export_results, report, score, site, verify
 from novags.commands.stages import capture, plan, poses, reconstruct, render
 from novags.commands.store import store
 from novags.commands.study import compare, compare_sets, study
@@ -51,6 +51,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
         view,
         video,
         export_results,
+        site,
         characterise,
         new,
         doctor,

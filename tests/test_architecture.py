@@ -50,6 +50,7 @@ LAYERS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("stages",),
         ("study",),
         ("report",),
+        ("site",),
         ("viewer",),
         ("flight", "dataset"),
     ),

@@ -260,6 +260,24 @@ def report(
         announce(write_reports(runs, console, out=out, overwrite=overwrite))
 
 
+def site(folders: Folders, *, out: Path, overwrite: bool = False, wait: bool = False, dry_run: bool = False) -> None:
+    """Write a results site on studies: one folder of pages that needs no server, with search, downloads and pictures.
+
+    Args:
+        folders: Folders of studies, of experiments, of runs, or folders that hold runs.
+        out: Folder of the site: index.html, a page for each study, method and scene, their tables as CSV and LaTeX.
+        overwrite: Write into a folder that holds other things than a site.
+        wait: If another process is writing there, wait until it is done instead of refusing.
+        dry_run: Only say that the first page would be made, or made again. Nothing is written.
+    """
+    from novags.testbed.ledger.dry import planned
+    from novags.testbed.site.writing import INDEX, write_site
+
+    with writing(out, wait, dry_run=dry_run) as console:
+        planned(console, "site", [out / INDEX])
+        announce(write_site(folders, out, console, overwrite=overwrite))
+
+
 def characterise(
     folder: Folder, *, out: Path, window: int = 1024, maps: bool = False, overwrite: bool = False, wait: bool = False,
     dry_run: bool = False,

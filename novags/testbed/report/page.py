@@ -165,11 +165,12 @@ def build(material: Material, console: Console, identity: str = "") -> Path:
         "identity": identity,
         "files": beside.name,
     }
-    write_text(path, _filled({**known, "blocks": shown, "data": page.data, "strip": page.strip}))
+    write_text(path, filled("page.html", {**known, "blocks": shown, "data": page.data, "strip": page.strip}))
     return path
 
 
-def _filled(context: Mapping[str, Any]) -> str:
+def filled(template: str, context: Mapping[str, Any]) -> str:
+    """A page from its template."""
     import jinja2
 
     loader = jinja2.PackageLoader("novags.testbed.report", "templates")
@@ -177,7 +178,7 @@ def _filled(context: Mapping[str, Any]) -> str:
                                    lstrip_blocks=True)  # fmt: skip
     templates.filters.update(number=number, size=size, json=_embedded, contents=_contents)
     templates.globals.update(asset=_asset)
-    return templates.get_template("page.html").render(context)
+    return templates.get_template(template).render(context)
 
 
 def _asset(name: str) -> Any:
