@@ -14,7 +14,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from novags.testbed.console.time_left import TimeLeft
 from sensor_model.files.reading import printable
 
-Update = Callable[[int, int, str], None]  # steps done, total steps, and the current activity (a view, a loss)
+# Steps done, total steps (0: nobody knows), and the current activity (a view, a loss).
+Update = Callable[[int, int, str], None]
 PLAIN_INTERVAL = 5.0  # s between two plain lines of one stage: shows progress, and suits a log file
 
 
@@ -56,7 +57,7 @@ class Console:
             with self.bars("<22", 30) as bar:
                 task = bar.add_task(shown(stage), total=None, what="")
                 yield lambda done, total, what: bar.update(
-                    task, completed=done, total=total, what=shown(_with_left(left, done, total, what))
+                    task, completed=done, total=total or None, what=shown(_with_left(left, done, total, what))
                 )
         else:
             yield self._lines(stage, left)
@@ -78,10 +79,10 @@ class Console:
         def update(done: int, total: int, what: str) -> None:
             nonlocal last
             text, now = _with_left(left, done, total, what), time.monotonic()
-            if now - last < PLAIN_INTERVAL and done < total:
+            if now - last < PLAIN_INTERVAL and (done < total or not total):
                 return
             last = now
-            self.note(f"{stage}: {done}/{total}  {text}")
+            self.note(f"{stage}: {done}/{total}  {text}" if total else f"{stage}: {text}")
 
         return update
 

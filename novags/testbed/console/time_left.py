@@ -35,7 +35,12 @@ class TimeLeft:
         self.whole = self.steps = (self.last, 0)  # when the part under way began, and after how many steps; its steps
 
     def update(self, done: int, total: int) -> str:
-        """After `done` of `total` steps: "12 s left", or "12 s left, then fit" if that has no known pace."""
+        """After `done` of `total` steps: "12 s left", or "12 s left, then fit" if that has no known pace.
+
+        "" where nobody knows how many steps there are, which `total` 0 says.
+        """
+        if not total:
+            return ""
         now = self.clock()
         parts = self.parts if sum(self.parts.values()) == total else {"": total}
         part, begin, end = _part_of(parts, done)

@@ -136,3 +136,16 @@ def test_a_live_bar_shows_names_with_brackets_as_they_are(monkeypatch: pytest.Mo
         progress(1, 2, "view [a]")
     assert "score mine [red]" in stream.getvalue()
     assert "view [a]" in stream.getvalue()
+
+
+def test_of_work_without_a_known_end_nothing_is_foretold_and_lines_stay_few(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A program that is run as a method says how long it has taken, four times a second: it ended the command."""
+    clock, said = Clock(), io.StringIO()
+    assert TimeLeft("command", {}, {}, clock).update(0, 0) == ""
+    assert TimeLeft("command", PARTS, {}, clock).update(3, 0) == ""
+    monkeypatch.setattr(console.time, "monotonic", clock)
+    with console.Console(stream=said).progress("command theirs") as update:
+        for k in range(48):
+            clock.now += 0.25
+            update(0, 0, f"{k / 4:.0f} s")
+    assert said.getvalue().splitlines() == ["command theirs: 5 s", "command theirs: 10 s"]
