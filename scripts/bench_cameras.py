@@ -30,9 +30,9 @@ from novags.process import settle
 
 SCENES = ("bookshop", "market", "sofa", "bicycle")  # the settings of `sfm` were chosen on another one
 ELECTRONS = (200.0, 50.0, 20.0, 5.0, 2.0, 1.0)
-SOURCES = tuple(f"sfm{':' * bool(how)}{how}" for how in (
+SOURCES = (*(f"sfm{':' * bool(how)}{how}" for how in (
     "", "mapper=global", "pictures=enhanced", "pictures=enhanced,mapper=global", "pictures=denoised",
-    "pictures=denoised,mapper=global"))  # fmt: skip
+    "pictures=denoised,mapper=global")), "known:rotation_deg=1,translation=0.01")  # fmt: skip
 BURSTS = {1: SOURCES, 8: ("sfm", "sfm:pictures=enhanced")}  # frames of a view -> sources that look at their mean
 VIEWS, SIZE, POINTS = 20, 160, 1000
 AREAS = (5.0, 30.0)  # degrees
