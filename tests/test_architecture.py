@@ -46,7 +46,7 @@ LAYERS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("metrics", "console"),
         ("ledger",),
         ("folders",),
-        ("importing",),
+        ("importing", "loggers"),
         ("stages",),
         ("study",),
         ("report",),

@@ -56,6 +56,7 @@ def run(
     engine: Literal["local", "ray"] = "local",
     workers: int | None = None,
     cluster: Cluster = CLUSTER,
+    log: Literal["tensorboard", "wandb", "rerun"] | None = None,
     overwrite: bool = False,
     wait: bool = False,
     dry_run: bool = False,
@@ -108,6 +109,7 @@ def run(
         workers: Methods at a time, each in a process of its own, among which all cores are divided; if not given, one
             after another with all cores.
         cluster: Of --engine ray.
+        log: Send the losses of every fit to a logger as they are written; its files lie in OUT.logs.
         overwrite: Replace finished results of another request in the same folder.
         wait: If another process is writing there, wait until it is done instead of refusing.
         dry_run: Only say which stages would be done, or done again and why. Nothing is written. With a budget whose
@@ -129,9 +131,12 @@ def run(
         variants=variants_of(variant), cameras=cameras_of(cameras), refine_cameras=refine_cameras, device=device,
         parameters=define or None,
     )  # fmt: skip
+    from novags.testbed.loggers.following import logged
     from novags.testbed.report.verdict import limits_so_far
     from novags.testbed.study import place
 
+    if log is not None and budget is not None:
+        raise ValueError(f"--log {log} does not go with a budget, whose trials are not logged: leave one of them out")
     whole = Path("out") / _default_name(preset, scene if photos is None else str(photos), level, electrons)
     if budget is None:
         if curves is not None:
@@ -142,8 +147,9 @@ def run(
             if dry_run:
                 place.said(chosen, folder, console, overwrite=overwrite)
                 return
-            page = place.run(chosen, folder, console, report=_reported, doubt=limits_so_far,
-                             engine=where, command=command_line(folder), overwrite=overwrite)  # fmt: skip
+            with logged(folder, log, console):
+                page = place.run(chosen, folder, console, report=_reported, doubt=limits_so_far,
+                                 engine=where, command=command_line(folder), overwrite=overwrite)  # fmt: skip
         _conclude(page, folder)
         return
     decided = {

@@ -197,7 +197,7 @@ def reconstruct(
     points: int | None = None, iterations: int | None = None, denoiser_steps: int | None = None,
     score_at: tuple[int, ...] = (), hold_out: int | None = None, seed: int = 0, device: Device = "auto",
     export: tuple[Literal["3dgs", "splat", "spz", "spz2"], ...] = (),
-    overwrite: bool = False, wait: bool = False,
+    log: Literal["tensorboard", "wandb", "rerun"] | None = None, overwrite: bool = False, wait: bool = False,
     dry_run: bool = False,
 ) -> None:  # fmt: skip
     """Reconstruct a capture with one method: a 3D model, and pictures rendered from it.
@@ -224,6 +224,7 @@ def reconstruct(
         device: Where training runs; auto takes a GPU if there is one that can be used.
         export: Formats of viewers to write into RUN/viewers: a .ply of degree 3 with cameras.json, .splat, .spz
             (spz2: of version 2, which is all that some readers know).
+        log: Send the losses to a logger as they are written; its files lie in OUT.logs.
         overwrite: Replace a finished result of another request in the same folder.
         wait: If another process is writing there, wait until it is done instead of refusing.
         dry_run: Only say whether it would be made, or made again and why. Nothing is written.
@@ -241,11 +242,13 @@ def reconstruct(
         hold_out=hold_out, pictures=pictures, device=device,
     )  # fmt: skip
     config = replace(chosen.reconstruct(name), seed=seed)
+    from novags.testbed.loggers.following import logged
     from novags.testbed.stages.viewers import check_viewers, viewer_files, write_viewers
 
     with writing(out, wait, dry_run=dry_run) as console:
         with dry(dry_run) as kept:
-            stages.reconstruct(capture, out, config, console, overwrite=overwrite)
+            with logged(out, None if dry_run else log, console):
+                stages.reconstruct(capture, out, config, console, overwrite=overwrite)
         if kept != [False]:  # whether a run that is not there yet will hold Gaussians is seen then
             check_viewers(out, export)
         planned(console, "viewers", viewer_files(out, export))

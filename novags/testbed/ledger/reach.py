@@ -24,7 +24,7 @@ PACKAGES = ("novags", "simscenes", "sensor_model")
 # cameras: a configuration holds every value of its camera.
 OUTSIDE = (
     *(f"novags.{name}" for name in ("cli", "commands", "failure", "interface", "options", "process", "testing")),
-    *(f"novags.testbed.{name}" for name in ("console", "flight", "ledger", "report", "site", "viewer")),
+    *(f"novags.testbed.{name}" for name in ("console", "flight", "ledger", "loggers", "report", "site", "viewer")),
     "novags.warm",
     "novags.splats.warm",
     "novags.fields.warm",

@@ -1,0 +1,106 @@
+"""Follow the event files of runs while a command makes them, and hand each new line to a logger."""
+
+import json
+import math
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from importlib import import_module
+from pathlib import Path
+from threading import Event, Thread
+from typing import Any
+
+from novags.testbed.console.terminal import Console
+from novags.testbed.folders.run import EVENTS
+from novags.testbed.loggers import LOGGERS, Sink
+from sensor_model.files.door import read_bytes
+
+POLL = 1.0  # s
+
+
+@contextmanager
+def logged(out: Path, logger: str | None, console: Console) -> Iterator[None]:
+    """While the block runs, losses of the run in `out`, and of those in its folders, go to a logger.
+
+    Its files lie in `<out>.logs/LOGGER`, beside the results, which stay as they are without a logger. Steps that were
+    there before are not sent again. A logger that fails is left alone: it costs a note, and no work.
+
+    Args:
+        out: Folder of a run, or of an experiment.
+        logger: Of `LOGGERS`; None: there is none.
+        console: Where notes go.
+
+    Raises:
+        ValueError: If its package is not installed.
+    """
+    if logger is None:
+        yield
+        return
+    _check(logger)
+    following = _Following(out, logger)
+    stop = Event()
+    thread = Thread(target=following.go_on, args=(stop,), daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()
+        if following.failed is not None:
+            console.warn(f"--log {logger} ended with an error, and the work went on: {following.failed}")
+        elif following.sinks:
+            console.note(f"{logger}: {following.folder}")
+
+
+def _check(logger: str) -> None:
+    try:
+        import_module(logger)
+    except ImportError as error:
+        raise ValueError(f"--log {logger} needs its package, which is not installed: pip install 'novags[{logger}]' "
+                         f"({error})") from error  # fmt: skip
+
+
+class _Following:
+    """The event files that were seen so far."""
+
+    def __init__(self, out: Path, logger: str) -> None:
+        self.out, self.logger, self.folder = out, logger, out.with_name(f"{out.name}.logs") / logger
+        self.sinks: dict[Path, Sink] = {}
+        self.failed: str | None = None
+        self.last = {path: max((step for step, _ in _events(path)), default=-1) for path in self._files()}
+
+    def _files(self) -> list[Path]:
+        return [*self.out.glob(EVENTS), *sorted(self.out.glob(f"*/{EVENTS}"))]
+
+    def go_on(self, stop: Event) -> None:
+        """Send what is new every now and then, and what is left in the end."""
+        try:
+            while not stop.wait(POLL):
+                self._send()
+            self._send()
+            for sink in self.sinks.values():
+                sink.close()
+        except BaseException as error:  # of any logger, of any kind: the work is worth more
+            self.failed = f"{type(error).__name__}: {error}"
+
+    def _send(self) -> None:
+        for path in self._files():
+            for step, values in _events(path):
+                if step > self.last.get(path, -1):
+                    if path not in self.sinks:
+                        self.sinks[path] = LOGGERS[self.logger](self.folder, path.parent.name)
+                    self.sinks[path].add(step, values)
+                    self.last[path] = step
+
+
+def _events(path: Path) -> Iterator[tuple[int, Mapping[str, float]]]:
+    """The whole lines of an event file: steps, and the finite numbers of each."""
+    try:
+        text = read_bytes(path).decode("utf-8", "replace")
+    except (OSError, ValueError):  # it is being replaced
+        return
+    for line in text.splitlines(keepends=True):
+        if not line.endswith("\n"):
+            return
+        event: Any = json.loads(line)
+        yield int(event["step"]), {name: float(value) for name, value in event.items() if name != "step"
+                                   and isinstance(value, int | float) and math.isfinite(value)}  # fmt: skip
