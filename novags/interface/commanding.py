@@ -14,7 +14,7 @@ import tyro
 
 from novags.commands.experiment import run as run_command
 from novags.commands.study import study as study_command
-from novags.interface.opening import StudyResults, open
+from novags.interface.opening import StudyResults, results_of
 from sensor_model.files.python import python
 
 PROGRAM = "from novags.__main__ import main; main()"
@@ -82,7 +82,7 @@ class BackgroundCommand:
         self._reader.join()
         if code:
             raise CommandError(f"novags {self.command[0]} ended with {code}: {self.progress}")
-        return open(self.out, StudyResults)
+        return results_of(self.out)
 
     def stop(self) -> None:
         """Interrupt it, as Ctrl-C does: finished work is kept, and the same command continues."""

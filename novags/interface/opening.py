@@ -92,13 +92,22 @@ def _opened(path: Path) -> Opened:
         return _run(path)
     if (path / CAPTURE).is_file():
         return open_capture(path)
-    if (path / TABLE).is_file() and "axes" in (table := read_json(path / TABLE)):
-        table = read_json(path / TABLE, ROWS)
-        return StudyResults(path, table["axes"], tuple(table["rows"]))
+    if (path / TABLE).is_file() and "axes" in read_json(path / TABLE):
+        return results_of(path)
     try:
         return open_source(path, Console()).views
     except ValueError as error:
         raise ValueError(f"{path} is neither a run, a capture nor a study, and no set either: {error}") from error
+
+
+def results_of(path: Path) -> StudyResults:
+    """The tables of a study.
+
+    Raises:
+        ValueError: If they are missing or damaged.
+    """
+    table = read_json(path / TABLE, ROWS)
+    return StudyResults(path, table["axes"], tuple(table["rows"]))
 
 
 def _run(path: Path) -> Run:

@@ -1,15 +1,14 @@
 """Follow the event files of runs while a command makes them, and hand each new line to a logger."""
 
-import json
 import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from threading import Event, Thread
-from typing import Any
 
 from novags.testbed.console.terminal import Console
+from novags.testbed.folders.events import event_of
 from novags.testbed.folders.run import EVENTS
 from novags.testbed.loggers import LOGGERS, Sink
 from sensor_model.files.door import read_bytes
@@ -52,11 +51,8 @@ def logged(out: Path, logger: str | None, console: Console) -> Iterator[None]:
 
 
 def _check(logger: str) -> None:
-    try:
-        import_module(logger)
-    except ImportError as error:
-        raise ValueError(f"--log {logger} needs its package, which is not installed: pip install 'novags[{logger}]' "
-                         f"({error})") from error  # fmt: skip
+    if find_spec(logger) is None:
+        raise ValueError(f"--log {logger} needs its package, which is not installed: pip install 'novags[{logger}]'")
 
 
 class _Following:
@@ -72,7 +68,7 @@ class _Following:
         return [*self.out.glob(EVENTS), *sorted(self.out.glob(f"*/{EVENTS}"))]
 
     def go_on(self, stop: Event) -> None:
-        """Send what is new every now and then, and what is left in the end."""
+        """Send new lines every now and then, and the last ones in the end."""
         try:
             while not stop.wait(POLL):
                 self._send()
@@ -101,6 +97,6 @@ def _events(path: Path) -> Iterator[tuple[int, Mapping[str, float]]]:
     for line in text.splitlines(keepends=True):
         if not line.endswith("\n"):
             return
-        event: Any = json.loads(line)
+        event = event_of(line, str(path))
         yield int(event["step"]), {name: float(value) for name, value in event.items() if name != "step"
                                    and isinstance(value, int | float) and math.isfinite(value)}  # fmt: skip

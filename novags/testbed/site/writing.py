@@ -1,6 +1,5 @@
 """Write a site: the report of every study, its tables, and pages of all methods and scenes that lead to each other."""
 
-import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +19,7 @@ from novags.testbed.site.latex import latex
 from novags.testbed.site.pictures import DARK, TRUTH, Shots, of_entry, shots_of
 from novags.testbed.site.tables import entries_table
 from sensor_model.files.atomic import write_text
-from sensor_model.files.door import resolved
+from sensor_model.files.door import read_text, resolved
 
 RECORD = "site.json"
 WRITTEN: Any = {"pages": [str]}
@@ -118,7 +117,7 @@ def _study(site: Site, study: SiteStudy, console: Console) -> list[str]:
     place = Path(study.page).parent
     made = [study.page]
     for file in study.files:
-        shutil.copyfile(file, site.folder / place / file.name)
+        write_text(site.folder / place / file.name, read_text(file))
         made.append((place / file.name).as_posix())
     if (table := ranking(study.material).get("table")) is not None:
         write_text(site.folder / place / RANKING, latex(table))

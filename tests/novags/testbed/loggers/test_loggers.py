@@ -9,7 +9,6 @@ import sys
 import threading
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -18,7 +17,7 @@ from novags.testbed.loggers import LOGGERS, Sink
 from novags.testbed.loggers import following as module
 from novags.testbed.loggers.following import logged
 
-EVENT = {"step": 10, "iteration": 10, "photometric": 0.25, "lost": "inf", "named": None, "wrong": float("nan")}
+EVENT = {"step": 10, "iteration": 10, "photometric": 0.25, "lost": "inf", "named": None, "wrong": "nan"}
 Sent = list[tuple[str, int, dict[str, float]]]
 
 
@@ -87,10 +86,7 @@ def test_a_logger_that_fails_costs_a_note_and_no_work(
 
 
 def test_without_its_package_nothing_begins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def missing(name: str) -> Any:
-        raise ModuleNotFoundError(f"No module named '{name}'")
-
-    monkeypatch.setattr(module, "import_module", missing)
+    monkeypatch.setattr(module, "find_spec", lambda name: None)
     with (
         pytest.raises(ValueError, match=r"--log rerun needs its package, which is not installed: pip install .*rerun"),
         logged(tmp_path, "rerun", Console(quiet=True)),
