@@ -97,6 +97,9 @@ def _events(path: Path) -> Iterator[tuple[int, Mapping[str, float]]]:
     for line in text.splitlines(keepends=True):
         if not line.endswith("\n"):
             return
-        event = event_of(line, str(path))
+        try:
+            event = event_of(line, str(path))
+        except ValueError:  # damaged: the run itself refuses it, or begins anew
+            return
         yield int(event["step"]), {name: float(value) for name, value in event.items() if name != "step"
                                    and isinstance(value, int | float) and math.isfinite(value)}  # fmt: skip

@@ -68,6 +68,10 @@ def test_steps_of_before_are_not_sent_again_and_those_after_a_checkpoint_once(se
         write(tmp_path / "all" / "interrupted", 10, 20, 30, 40)
         write(tmp_path / "all" / "other", 10)
     assert [each[:2] for each in sent if each[1] > 0] == [("interrupted", 40), ("other", 10)]
+    (tmp_path / "all" / "kept" / "events.jsonl").write_text('{"step": "damaged"}\n')
+    with logged(tmp_path / "all", "tensorboard", Console(quiet=True)):
+        write(tmp_path / "all" / "other", 20)
+    assert [each[:2] for each in sent if each[1] > 10] == [("interrupted", 40), ("other", 20)]
 
 
 def test_a_logger_that_fails_costs_a_note_and_no_work(
