@@ -99,7 +99,8 @@ def _events(path: Path) -> Iterator[tuple[int, Mapping[str, float]]]:
             return
         try:
             event = event_of(line, str(path))
-        except ValueError:  # damaged: the run itself refuses it, or begins anew
+            step = int(event["step"])
+        except (KeyError, TypeError, ValueError):  # damaged: the run itself refuses it, or begins anew
             return
-        yield int(event["step"]), {name: float(value) for name, value in event.items() if name != "step"
+        yield step, {name: float(value) for name, value in event.items() if name != "step"
                                    and isinstance(value, int | float) and math.isfinite(value)}  # fmt: skip
