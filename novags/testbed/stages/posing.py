@@ -135,11 +135,12 @@ def place(files: dict[str, Path], out: Path, config: PosesConfig, console: Conso
         bare, size = survey(list(files.values()), config.max_size)
         shots = [Shot(f"{k:06d}.png", one.camera, one.focal) for k, one in enumerate(bare)]
         pictures, mapper = config.search(dark := are_dark(bare))
-        with console.progress("poses") as update:
-            looked_at = SEEN[pictures](Encoded(bare), config.seed)
+        looked_at = SEEN[pictures](Encoded(bare), config.seed)
+        with console.progress(f"poses: {pictures} pictures") as update:
             for k, (shot, picture) in enumerate(zip(shots, looked_at, strict=True)):
                 write_png(folder / shot.name, picture)
-                update(k + 1, len(shots), f"{pictures} pictures")
+                update(k + 1, len(shots), "")
+        with console.progress("poses") as update:
             found = register(
                 folder, shots, max_features=config.max_features, peak_threshold=config.peak_threshold, mapper=mapper,
                 in_order=video, seed=config.seed, progress=update,
