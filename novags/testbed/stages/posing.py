@@ -146,13 +146,10 @@ def place(files: dict[str, Path], out: Path, config: PosesConfig, console: Conso
                 in_order=video, seed=config.seed, progress=update,
             )  # fmt: skip
         if found is None:
-            remedy = (
-                "they are dark: look at denoised pictures (--pictures denoised), or "
-                if dark and pictures == "raw"
-                else ""
-            )
-            raise ValueError(f"fewer than {PLACED} of the {len(bare)} photographs of {config.photographs} fit together: "
-                             f"{remedy}{BETTER}")  # fmt: skip
+            hidden = dark and pictures == "raw"
+            remedy = "they are dark: look at denoised ones (--pictures denoised), or " if hidden else ""
+            raise ValueError(f"fewer than {PLACED} of the {len(bare)} photographs of {config.photographs} fit "
+                             f"together: {remedy}{BETTER}")  # fmt: skip
         if not len(found.points):  # a camera that only turned: all of it fits, and nothing has a depth
             raise ValueError(
                 f"{len(found.indices)} photographs of {config.photographs} fit together without a single point in "
