@@ -6,6 +6,7 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 from unittest.mock import MagicMock
 
 import cv2
@@ -169,7 +170,10 @@ def test_the_same_photographs_give_the_same_set_and_are_placed_once(taken, place
         stages.poses(placed[0], PosesConfig(photographs=taken[1], max_features=500), QUIET)
 
 
-def test_the_seed_reaches_matches_and_cameras(taken, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("mapper", ["incremental", "global"])
+def test_the_seed_reaches_matches_and_cameras(
+    mapper: Any, taken, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """COLMAP is asked for the seed that it was given, and stopped then: clean pictures are placed alike with most."""
     match, given = pycolmap.match_image_pairs, list[int]()
 
@@ -182,9 +186,10 @@ def test_the_seed_reaches_matches_and_cameras(taken, tmp_path: Path, monkeypatch
         raise ValueError("far enough")
 
     monkeypatch.setattr(pycolmap, "match_image_pairs", matched)
-    monkeypatch.setattr(pycolmap, "incremental_mapping", stopped)
+    monkeypatch.setattr(pycolmap, f"{mapper}_mapping", stopped)
+    config = PosesConfig(photographs=taken[1], max_features=100, mapper=mapper, seed=7)
     with pytest.raises(ValueError, match="far enough"):
-        stages.poses(tmp_path / "set", PosesConfig(photographs=taken[1], max_features=100, seed=7), QUIET)
+        stages.poses(tmp_path / "set", config, QUIET)
     assert set(given) == {7}
 
 
