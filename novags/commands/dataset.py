@@ -11,7 +11,7 @@ from novags.options import CLUSTER, Cluster, Folder
 
 def dataset(
     file: Folder, *, out: Path, store: str | None = None, engine: Literal["local", "ray"] = "local",
-    workers: int | None = None, cluster: Cluster = CLUSTER, dry_run: bool = False,
+    workers: int | None = None, cluster: Cluster = CLUSTER, push: str | None = None, dry_run: bool = False,
     retry_failed: bool = False, overwrite: bool = False, wait: bool = False,
 ) -> None:  # fmt: skip
     """Make a synthetic data set: scenes, rigs, cameras and light levels from one file.
@@ -26,6 +26,7 @@ def dataset(
         engine: Where the work is done: on this machine, or on a Ray cluster that sees the store.
         workers: Processes at a time on this machine; as many as there are cores, or captures, if not given.
         cluster: Of --engine ray.
+        push: Send it to the Hugging Face hub as well, hf:OWNER/NAME; only if there is a token (HF_TOKEN).
         dry_run: Only show the captures, the splits, and their cost: time, memory, disk. Nothing is written.
         retry_failed: Try again the captures that failed before.
         overwrite: Replace another data set in the same folder.
@@ -34,12 +35,16 @@ def dataset(
     from novags.testbed.dataset.file import read_dataset
     from novags.testbed.dataset.forecast import forecast
     from novags.testbed.dataset.make import publish, refuse_foreign, splits
+    from novags.testbed.dataset.pushing import push as send
+    from novags.testbed.dataset.pushing import repository
     from novags.testbed.study.conduct import conduct
     from novags.testbed.study.plan import plan_of
     from novags.testbed.study.results import CSV, counted
     from novags.testbed.study.session import describe, refuse_other
 
     check_numbers(workers, cluster)
+    if push is not None:
+        repository(push)
     if store is not None and "://" in store:
         raise ValueError(f"store {store}: a data set is made of the files in its store, so give --store a folder that "
                          "all nodes see, not a URL")  # fmt: skip
@@ -66,4 +71,6 @@ def dataset(
             next_(f"look at the reasons in {making / CSV}, then: the same command with --retry-failed")
             raise SystemExit(1)
         say(publish(plan, config, folder, out, console))
+        if push is not None:
+            say(send(out, push, console))
     next_(f"look at {out / 'README.md'}")
