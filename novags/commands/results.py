@@ -268,13 +268,13 @@ def site(folders: Folders, *, out: Path, overwrite: bool = False, wait: bool = F
         out: Folder of the site: index.html, a page for each study, method and scene, their tables as CSV and LaTeX.
         overwrite: Write into a folder that holds other things than a site.
         wait: If another process is writing there, wait until it is done instead of refusing.
-        dry_run: Only say that the first page would be made, or made again. Nothing is written.
+        dry_run: Only say which files and folders would be made, or made again. Nothing is written.
     """
     from novags.testbed.ledger.dry import planned
-    from novags.testbed.site.writing import INDEX, write_site
+    from novags.testbed.site.writing import PARTS, write_site
 
     with writing(out, wait, dry_run=dry_run) as console:
-        planned(console, "site", [out / INDEX])
+        planned(console, "site", [out / part for part in PARTS])
         announce(write_site(folders, out, console, overwrite=overwrite))
 
 

@@ -18,6 +18,7 @@ from novags.testbed.study.light import ELECTRONS
 from sensor_model.files.door import resolved
 
 NAMED = (SCENE, ELECTRONS, "sensor", CAPTURE)  # axes that have columns of their own
+STUDIES_IN = "studies"  # folder of a site
 LEVEL = "level"  # an axis that stands for camera and electrons
 
 
@@ -38,7 +39,7 @@ class SiteStudy:
     @property
     def page(self) -> str:
         """Its report, relative to the site."""
-        return f"studies/{self.name}/index.html"
+        return f"{STUDIES_IN}/{self.name}/index.html"
 
     @property
     def files(self) -> list[Path]:
@@ -124,7 +125,7 @@ def studies_of(folders: Sequence[Path], site: Path, console: Console) -> list[Si
     for folder in folders:
         plain, taken = plain_name(resolved(folder).name), {study.name.lower() for study in found}
         name = next(each for k in range(1, len(found) + 2) if (each := plain + f"-{k}" * (k > 1)).lower() not in taken)
-        path = site / "studies" / name / "index.html"
+        path = site / STUDIES_IN / name / "index.html"
         if is_study(folder):
             material = study_material(folder, path)
         else:

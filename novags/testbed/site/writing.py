@@ -14,7 +14,7 @@ from novags.testbed.report.look.album import Album
 from novags.testbed.report.page import build, filled
 from novags.testbed.report.rows import Row, deviations
 from novags.testbed.report.words import named, size
-from novags.testbed.site.entries import Entry, SiteStudy, looks_of_all, pages_of, studies_of
+from novags.testbed.site.entries import STUDIES_IN, Entry, SiteStudy, looks_of_all, pages_of, studies_of
 from novags.testbed.site.latex import latex
 from novags.testbed.site.pictures import DARK, TRUTH, Shots, of_entry, shots_of
 from novags.testbed.site.tables import entries_table
@@ -24,6 +24,8 @@ from sensor_model.files.door import read_text, resolved
 RECORD = "site.json"
 WRITTEN: Any = {"pages": [str]}
 INDEX, RANKING = "index.html", "ranking.tex"
+METHODS_IN, SCENES_IN = "methods", "scenes"
+PARTS = (INDEX, "index.files", STUDIES_IN, METHODS_IN, SCENES_IN, RECORD)  # of a site, in its folder
 SCRIPTS = ("state", "rows", "tables", "filters", "cells")
 
 
@@ -82,8 +84,8 @@ def write_site(folders: Sequence[Path], out: Path, console: Console, *, overwrit
         shots = shots_of(studies, album, progress)
     album.settle()
     entries = [entry for study in studies for entry in study.entries]
-    links = {"Method": pages_of((entry.method for entry in entries), "methods"),
-             "Scene": pages_of((entry.scene for entry in entries), "scenes"),
+    links = {"Method": pages_of((entry.method for entry in entries), METHODS_IN),
+             "Scene": pages_of((entry.scene for entry in entries), SCENES_IN),
              "Study": {study.name: study.page for study in studies}}  # fmt: skip
     site = Site(out, studies, entries, looks_of_all(entries), links, shots)
     made = [page for study in studies for page in _study(site, study, console)]
