@@ -205,6 +205,8 @@ def activate(variant: str = "auto", color: str = "rgb") -> Any:
         os.environ["DRJIT_LIBLLVM_PATH"] = str(library)
     import mitsuba as mi
 
+    if mi.variant() is None:
+        _more_than_one_thread()
     if mi.variant() != name:
         _switch(mi, name)
         # Below errors Mitsuba prints to stdout, past Python's warnings; serious faults are checked on our side.
@@ -229,6 +231,14 @@ def using_variant(variant: str = "auto", color: str = "rgb") -> Iterator[Any]:
     finally:
         if before is not None and mi.variant() != before:
             _switch(mi, before)
+
+
+def _more_than_one_thread() -> None:
+    """Two threads where there is one core: with one alone, Mitsuba waits for ever where it reads or writes OpenEXR."""
+    import drjit as dr
+
+    if dr.thread_count() < 2:
+        dr.set_thread_count(2)
 
 
 def _switch(mi: Any, variant: str) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from sensor_model.files.python import python
 from simscenes import backend, orbit_rig, plan_transport, render_set
 
 
@@ -159,3 +160,21 @@ def test_many_changes_of_variants_say_nothing(
         with backend.using_variant("auto", "spectral"):
             pass
     assert not recwarn.list
+
+
+EXR = """
+import os, sys
+os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+import numpy as np
+from simscenes.backend import activate
+mi = activate("scalar")
+mi.Bitmap(np.ones((8, 8, 3), np.float32)).write(sys.argv[1])
+sky = mi.load_dict({"type": "scene", "sky": {"type": "envmap", "filename": sys.argv[1]}})
+print(len(sky.emitters()))
+"""
+
+
+def test_openexr_is_read_and_written_on_a_machine_with_one_core(tmp_path: Path) -> None:
+    """Rationale: Mitsuba's own threads waited for ever there, in tests of its plugins and wherever a sky was a file."""
+    done = subprocess.run(python(EXR, str(tmp_path / "sky.exr")), capture_output=True, text=True, timeout=100)
+    assert (done.returncode, done.stdout.strip()) == (0, "1"), done.stderr
