@@ -1,8 +1,8 @@
 """The tables of docs/ablations.md against numbers worked out by hand."""
 
-import importlib.util
 import json
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -14,14 +14,8 @@ AXES = {"scene": ["a", "b"], "level": ["dim", "dark"], "method": ["base", "less"
 
 
 @pytest.fixture(scope="module")
-def ablations() -> ModuleType:
-    """The script as a module."""
-    spec = importlib.util.spec_from_file_location("ablations", SCRIPTS / "ablations.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = sys.modules["ablations"] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+def ablations(script: Callable[[str], ModuleType]) -> ModuleType:
+    return script("choices/ablations.py")
 
 
 def row(scene: str, level: str, method: str, own: float | None, lit: float, state: str = "done") -> dict[str, Any]:

@@ -1,8 +1,8 @@
 """The table of docs/choices.md: differences, halving and decisions against numbers worked out by hand."""
 
-import importlib.util
 import json
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
@@ -17,14 +17,8 @@ AXES = ["scene", "method", "seed"]
 
 
 @pytest.fixture(scope="module")
-def settle() -> ModuleType:
-    """The script as a module."""
-    spec = importlib.util.spec_from_file_location("settle", ROOT / "scripts" / "choices" / "settle.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = sys.modules["settle"] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+def settle(script: Callable[[str], ModuleType]) -> ModuleType:
+    return script("choices/settle.py")
 
 
 def row(scene: str, method: str, seed: int, own: float, lit: float, seconds: float, state: str = "done") -> dict:

@@ -1,7 +1,8 @@
 """The page of curves and its tables show the curves that the package ships, and that budgets are made from."""
 
-import importlib.util
+from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 
 from novags.testbed.report.curves.page import embedded
 from novags.testbed.report.curves.table import joined
@@ -19,12 +20,8 @@ def test_the_page_shows_what_is_shipped() -> None:
     assert embedded(page, [{**first, "repeats": 77}]) != page
 
 
-def test_the_tables_of_all_settings_are_those_that_are_shipped() -> None:
-    spec = importlib.util.spec_from_file_location("tables", ROOT / "scripts" / "choices" / "tables.py")
-    assert spec is not None
-    assert spec.loader is not None
-    tables = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(tables)
+def test_the_tables_of_all_settings_are_those_that_are_shipped(script: Callable[[str], ModuleType]) -> None:
+    tables = script("choices/tables.py")
     points = read_curves(SHIPPED)
     names = list(dict.fromkeys(point["knob"].partition(".")[0] for point in points))
     folder = ROOT / "docs" / "tables" / PAGE.stem

@@ -1,9 +1,10 @@
 """The notebooks of the pages run as they stand, and what they show is what the pages hold."""
 
-import importlib.util
 import os
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import pytest
@@ -18,13 +19,8 @@ LARGEST = 250_000  # bytes
 
 
 @pytest.fixture(scope="module")
-def script() -> Any:
-    spec = importlib.util.spec_from_file_location("notebooks", ROOT / "scripts" / "files" / "notebooks.py")
-    assert spec is not None
-    assert spec.loader is not None
-    found = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(found)
-    return found
+def notebooks(script: Callable[[str], ModuleType]) -> ModuleType:
+    return script("files/notebooks.py")
 
 
 def kinds(notebook: Any) -> list[list[str]]:
@@ -55,19 +51,19 @@ def test_a_notebook_is_whole_small_and_of_no_machine(path: Path) -> None:
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 @pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning", "ignore::RuntimeWarning")
 def test_a_notebook_runs_and_shows_the_same_kinds_of_things(
-    path: Path, script: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    path: Path, notebooks: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its own assertions hold, too."""
     monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
-    found = script.executed(path, tmp_path)
+    found = notebooks.executed(path, tmp_path)
     assert kinds(found) == kinds(nbformat.read(path, as_version=4))
 
 
-def test_a_cell_that_fails_is_named(script: Any, tmp_path: Path) -> None:
+def test_a_cell_that_fails_is_named(notebooks: ModuleType, tmp_path: Path) -> None:
     from nbclient.exceptions import CellExecutionError
 
     notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell("assert 1 == 2, 'no'")])
     nbformat.write(notebook, tmp_path / "wrong.ipynb")
     with pytest.raises(CellExecutionError, match=r"AssertionError.*: no"):
-        script.executed(tmp_path / "wrong.ipynb", tmp_path)
+        notebooks.executed(tmp_path / "wrong.ipynb", tmp_path)

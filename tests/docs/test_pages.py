@@ -1,6 +1,5 @@
 """Claims about docs/: all pages are in the navigation, links lead somewhere, what pages show is what is printed."""
 
-import importlib.util
 import re
 import shutil
 import subprocess
@@ -21,14 +20,8 @@ PAGES = sorted(DOCS.glob("*.md"))
 
 
 @pytest.fixture(scope="module")
-def make_docs() -> ModuleType:
-    """The script as a module."""
-    spec = importlib.util.spec_from_file_location("make_docs", ROOT / "scripts" / "make_docs.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = sys.modules["make_docs"] = importlib.util.module_from_spec(spec)  # its dataclass looks itself up there
-    spec.loader.exec_module(module)
-    return module
+def make_docs(script: Callable[[str], ModuleType]) -> ModuleType:
+    return script("make_docs.py")
 
 
 def prose(page: Path) -> str:

@@ -1,8 +1,8 @@
 """The tables of docs/table1.md against numbers worked out by hand."""
 
-import importlib.util
 import json
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -18,14 +18,8 @@ STUDY = {"variant": {name: {"method": method} for name, method in
 
 
 @pytest.fixture(scope="module")
-def table1() -> ModuleType:
-    """The script as a module."""
-    spec = importlib.util.spec_from_file_location("table1", ROOT / "scripts" / "choices" / "table1.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = sys.modules["table1"] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+def table1(script: Callable[[str], ModuleType]) -> ModuleType:
+    return script("choices/table1.py")
 
 
 def row(level: str, method: str, seed: int, lit: float, depth: float | None = 0.1, **more: Any) -> dict[str, Any]:

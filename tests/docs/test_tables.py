@@ -5,8 +5,7 @@ heads that they have as one file: knob, setting, error; part, unit.
 """
 
 import csv
-import importlib.util
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import ModuleType
 
@@ -19,14 +18,8 @@ Table = list[list[str]]
 
 
 @pytest.fixture(scope="module")
-def tables() -> ModuleType:
-    """The script as a module."""
-    spec = importlib.util.spec_from_file_location("tables", ROOT / "scripts" / "choices" / "tables.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+def tables(script: Callable[[str], ModuleType]) -> ModuleType:
+    return script("choices/tables.py")
 
 
 def columns(table: Table, head: Sequence[str]) -> list[int] | None:

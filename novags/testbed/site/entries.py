@@ -7,14 +7,15 @@ from functools import cached_property
 from pathlib import Path
 
 from novags.testbed.console.terminal import Console
-from novags.testbed.folders.runs import TABLE
 from novags.testbed.report.grid import CAPTURE, SCENE, Line
 from novags.testbed.report.material import Material, RunRecords, material_of
 from novags.testbed.report.place import command_of, places_in
 from novags.testbed.report.rows import Row, distinct
 from novags.testbed.report.study import is_study, study_material
 from novags.testbed.study.cells.grid import spelled
+from novags.testbed.study.differences import DIFFERENCES
 from novags.testbed.study.light import ELECTRONS
+from novags.testbed.study.results import CSV
 from sensor_model.files.door import resolved
 
 NAMED = (SCENE, ELECTRONS, "sensor", CAPTURE)  # axes that have columns of their own
@@ -44,8 +45,7 @@ class SiteStudy:
     @property
     def files(self) -> list[Path]:
         """Its tables, which the site offers as they are."""
-        return [file for name in (TABLE.replace(".json", ".csv"), "differences.csv")
-                if (file := self.folder / name).is_file()]  # fmt: skip
+        return [file for name in (CSV, DIFFERENCES) if (file := self.folder / name).is_file()]
 
     @cached_property
     def entries(self) -> list["Entry"]:
