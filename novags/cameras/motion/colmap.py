@@ -55,6 +55,15 @@ def verification(pycolmap: Any, *, min_matches: int, max_error: float, seed: int
     return options
 
 
+def global_mapping(pycolmap: Any, *, threads: int, seed: int, min_matches: int, fewest: int) -> Any:
+    """Options of the mapper that solves for all cameras at once: matches of a pair, and views of a model, at least."""
+    options = pycolmap.GlobalPipelineOptions(
+        num_threads=threads, random_seed=seed % SEEDS, min_num_matches=min_matches, min_model_size=fewest
+    )
+    options.mapper.bundle_adjustment.ceres.use_gpu = options.mapper.global_positioning.use_gpu = False
+    return options
+
+
 def largest(models: dict[int, Any]) -> Any:
     """The reconstruction with the most views, and among equals the most points; None without any."""
     return max(models.values(), key=lambda m: (m.num_reg_images(), m.num_points3D()), default=None)

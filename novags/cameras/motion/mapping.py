@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from novags.cameras.estimate import Array, CameraEstimate, as_estimate
-from novags.cameras.motion.colmap import SEEDS, largest, quiet
+from novags.cameras.motion.colmap import SEEDS, global_mapping, largest, quiet
 from novags.cameras.pictures import place_of, write_pictures
 from novags.cameras.points import averaged, fill, seen_colors
 from novags.cameras.settings import Mapper, Pictures
@@ -120,15 +120,11 @@ def _incremental(pycolmap: Any, mapping: Mapping) -> Any:
 
 
 def _global(pycolmap: Any, mapping: Mapping) -> Any:
-    options = pycolmap.GlobalPipelineOptions(
-        num_threads=mapping.threads,
-        random_seed=mapping.seed % SEEDS,
-        min_num_matches=mapping.min_matches,
-        min_model_size=2,
+    options = global_mapping(
+        pycolmap, threads=mapping.threads, seed=mapping.seed, min_matches=mapping.min_matches, fewest=2
     )
     adjustment = options.mapper.bundle_adjustment
     adjustment.refine_focal_length = adjustment.refine_extra_params = False
-    adjustment.ceres.use_gpu = options.mapper.global_positioning.use_gpu = False
     return options
 
 

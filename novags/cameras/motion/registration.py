@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from novags.cameras.estimate import Array
-from novags.cameras.motion.colmap import SEEDS, detect, extraction, largest, quiet, verification
+from novags.cameras.motion.colmap import SEEDS, detect, extraction, global_mapping, largest, quiet, verification
 from novags.cameras.settings import Mapper
 from novags.cameras.source import Progress
 from simscenes.sets.readers.colmap import colmap_lens
@@ -109,7 +109,8 @@ def register(
         _match(pycolmap, database, folder, shots, in_order, seed, progress)
         placed = iter(range(2 * len(shots) + 1, total))
         if mapper == "global":
-            models = pycolmap.global_mapping(database, folder, folder, _global(pycolmap, seed))
+            how = global_mapping(pycolmap, threads=1, seed=seed, min_matches=MIN_MATCHES, fewest=PLACED)
+            models = pycolmap.global_mapping(database, folder, folder, how)
         else:
             models = pycolmap.incremental_mapping(
                 database, folder, folder, _incremental(pycolmap, seed),
@@ -181,14 +182,6 @@ def _match(
             verification(pycolmap, min_matches=MIN_MATCHES, max_error=MAX_ERROR, seed=seed),
             device=pycolmap.Device.cpu,
         )
-
-
-def _global(pycolmap: Any, seed: int) -> Any:
-    options = pycolmap.GlobalPipelineOptions(
-        num_threads=1, random_seed=seed % SEEDS, min_num_matches=MIN_MATCHES, min_model_size=PLACED
-    )
-    options.mapper.bundle_adjustment.ceres.use_gpu = options.mapper.global_positioning.use_gpu = False
-    return options
 
 
 def _incremental(pycolmap: Any, seed: int) -> Any:
