@@ -1,5 +1,7 @@
 """Claims about what a stranger finds around the code: the package's metadata, its files, and the pages of its host."""
 
+import importlib
+import inspect
 import re
 from datetime import date
 from pathlib import Path
@@ -7,6 +9,7 @@ from pathlib import Path
 import pytest
 import yaml
 
+from novags.splats import rasterize
 from sensor_model.files.toml_file import read_toml
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -38,11 +41,26 @@ def test_the_citation_is_of_this_version_and_of_the_paper() -> None:
     assert cited["references"][0]["title"].startswith("NOVA-GS")
 
 
-def test_the_changelog_goes_back_day_by_day_to_this_version() -> None:
+def test_the_changelog_goes_back_version_by_version_from_this_one() -> None:
     heads = re.findall(r"^## (.*)$", read("CHANGELOG.md"), re.MULTILINE)
-    assert heads[-1].startswith(f"{PROJECT['version']}, ")
-    days = [date.fromisoformat(day) for day in (*heads[:-1], heads[-1].partition(", ")[2])]
-    assert days == sorted(set(days), reverse=True)
+    closed = [head.split(", ") for head in heads if head != "Unreleased"]
+    assert closed[0][0] == PROJECT["version"]
+    assert heads.index(", ".join(closed[0])) <= 1  # what has come since, if anything, stands above it
+    days = [date.fromisoformat(day) for _, day in closed]
+    assert days == sorted(days, reverse=True)
+
+
+def test_names_that_the_changelog_gives_for_earlier_ones_are_there() -> None:
+    entry = " ".join(
+        read("CHANGELOG.md").partition("- In Python `sensor_model.Optics`")[2].partition("\n\n")[0].split()
+    )
+    for name, module in (
+        ("SensorOptics", "sensor_model"), ("Problem", "novags.methods.problem"), ("Start", "novags.methods.problem"),
+        ("Reconstruction", "novags.methods.reconstruction"),
+    ):  # fmt: skip
+        assert f"`{name}`" in entry
+        assert hasattr(importlib.import_module(module), name)
+    assert "backgrounds" in inspect.signature(rasterize).parameters
 
 
 def test_forms_and_workflows_can_be_read_and_run_what_is_here() -> None:
