@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 
 from novags import cli, options
+from novags.__main__ import main
 from novags.commands.shared import typed
 
 Call = Callable[..., int]
@@ -388,3 +389,9 @@ def test_a_name_longer_than_any_file_is_not_repeated_whole(call: Call, capsys: p
         (line,) = capsys.readouterr().err.splitlines()
         assert "traceback" not in line
         assert len(line) < 900
+
+
+def test_on_windows_it_says_where_it_runs_before_it_imports_anything(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "platform", "win32")
+    with pytest.raises(SystemExit, match="Windows has no fcntl, .*: run novags in WSL 2"):
+        main()
