@@ -14,7 +14,7 @@ sys.path.insert(0, str(ROOT))  # where pytest is started by itself and not as a 
 from tests.fuzz.readers import READERS  # noqa: E402
 from tests.fuzz.readers.scenes import bare, places, plugins  # noqa: E402
 
-CASES = 2400
+CASES = 1200
 
 
 @pytest.fixture(scope="module")

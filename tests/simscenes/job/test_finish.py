@@ -2,7 +2,7 @@
 
 import gc
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -92,14 +92,17 @@ class Watched:
 
 
 @pytest.fixture
-def watched(monkeypatch: pytest.MonkeyPatch) -> dict[str, Watched]:
+def watched(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, Watched]]:
     """Whatever brings a view's channels into memory: rendering, reading EXR files, the store."""
+    gc.collect()
+    gc.freeze()  # or each look for arrays that are gone would go through all objects of the libraries
     seen = {"render": Watched(), "read": Watched(), "light": Watched(), "depth": Watched()}
     monkeypatch.setattr(views, "geometry_channels", seen["render"](views.geometry_channels))
     monkeypatch.setattr(identity, "read_exr", seen["read"](identity.read_exr))
     for name in ("light", "depth"):
         monkeypatch.setattr(finish.ViewStore, name, seen[name](getattr(finish.ViewStore, name)))
-    return seen
+    yield seen
+    gc.unfreeze()
 
 
 @pytest.fixture

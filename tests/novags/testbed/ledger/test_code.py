@@ -47,12 +47,12 @@ keys["capture of photographs"] = CaptureConfig().code.along_with(for_photographs
 assert not {"torch", "numba", "mitsuba", "pycolmap"} & sys.modules.keys()
 print(json.dumps(keys))
 """
-Edit = Callable[[str, str, str], set[str]]
+Edit = Callable[..., set[str]]
 
 
 @pytest.fixture(scope="module")
 def edit(tmp_path_factory: pytest.TempPathFactory) -> Edit:
-    """A function (file, text, another text) -> the results that are made again after this change."""
+    """A function (file, text, another text, further files with theirs) -> the results that these changes make again."""
     root = tmp_path_factory.mktemp("sources")
     for package in PACKAGES:
         shutil.copytree(ROOT / package, root / package, ignore=shutil.ignore_patterns("__pycache__"))
@@ -66,15 +66,17 @@ def edit(tmp_path_factory: pytest.TempPathFactory) -> Edit:
 
     before = keys()
 
-    def changed(file: str, text: str, other: str) -> set[str]:
-        path = root / file
-        content = path.read_text("utf-8")
-        assert content.count(text) == 1, f"{file} holds {text!r} {content.count(text)} times"
-        path.write_text(content.replace(text, other), "utf-8")
+    def changed(*edits: str) -> set[str]:
+        contents = {}
+        for file, text, other in zip(edits[::3], edits[1::3], edits[2::3], strict=True):
+            contents[file] = content = (root / file).read_text("utf-8")
+            assert content.count(text) == 1, f"{file} holds {text!r} {content.count(text)} times"
+            (root / file).write_text(content.replace(text, other), "utf-8")
         try:
             after = keys()
         finally:
-            path.write_text(content, "utf-8")
+            for file, content in contents.items():
+                (root / file).write_text(content, "utf-8")
         return {name for name in after if after[name] != before.get(name)}
 
     return changed
@@ -114,31 +116,23 @@ def test_a_constant_of_a_scene_makes_that_scene_again(edit: Edit) -> None:
     assert edit("simscenes/scenes/cornell.py", "58.0", "59.0") == {"scene cornell"}
 
 
-@pytest.mark.parametrize(
-    ("file", "text", "other"),
-    [
-        ("novags/testbed/report/charts.py", '"""', '"""It was: '),
+def test_what_shows_and_tells_and_what_no_result_reaches_makes_nothing_again(edit: Edit) -> None:
+    charts = (ROOT / "novags/testbed/report/charts.py").read_text("utf-8").splitlines()[0]
+    assert charts.startswith('"""')
+    changes = [
+        ("novags/testbed/report/charts.py", charts, charts.replace('"""', '"""It was: ', 1)),
         ("novags/testbed/console/terminal.py", "PLAIN_INTERVAL = 5.0", "PLAIN_INTERVAL = 6.0"),
         ("sensor_model/files/lock.py", "COMMAND_LENGTH = 160", "COMMAND_LENGTH = 161"),
         ("sensor_model/presets.py", "(0.55, 1.0, 0.65)", "(0.55, 1.0, 0.66)"),
-        ("novags/commands/results.py", "import", "import"),
-    ],
-)
-def test_what_shows_and_tells_makes_nothing_again(edit: Edit, file: str, text: str, other: str) -> None:
-    content = (ROOT / file).read_text("utf-8")
-    if content.count(text) != 1:  # the first of several
-        line = next(line for line in content.splitlines() if text in line and content.count(line) == 1)
-        text, other = line, line.replace(text, other, 1)
-    assert edit(file, text, other) == set()
+        ("novags/commands/store.py", "dry_run: bool = False", "dry_run: bool = True"),
+        ("novags/splats/files/ply.py", "def read_ply(", "def read_ply(unused=0, *, "),
+    ]
+    assert edit(*(text for change in changes for text in change)) == set()
 
 
 def test_the_values_of_a_preset_count_as_configuration() -> None:
     for config in (CaptureConfig(sensor="imx385-iso1600"), ImportConfig(sensor="imx385-iso1600")):
         assert jsonable(config.resolved())["camera"] == jsonable(PRESETS["imx385-iso1600"])
-
-
-def test_a_function_that_a_result_does_not_reach_makes_nothing_again(edit: Edit) -> None:
-    assert edit("novags/splats/files/ply.py", "def read_ply(", "def read_ply(unused=0, *, ") == set()
 
 
 def test_a_further_layout_makes_neither_set_nor_capture_again(edit: Edit) -> None:

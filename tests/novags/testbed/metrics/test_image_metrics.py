@@ -97,7 +97,7 @@ def test_an_affine_fit_is_clipped_to_what_a_picture_can_show() -> None:
     assert aligned.min() >= 0.0
 
 
-@pytest.mark.parametrize("shape", [(11, 11, 3), (11, 40, 3), (37, 23, 3), (16, 16, 1), (256, 200, 3)])
+@pytest.mark.parametrize("shape", [(11, 11, 3), (11, 40, 3), (37, 23, 3), (16, 16, 1), (120, 90, 3)])
 def test_ssim_equals_torchmetrics(shape: tuple[int, ...]) -> None:
     """In float64: in float32 it differs from itself, by up to 3e-5 where pictures are bright."""
     rng = np.random.default_rng(3)
