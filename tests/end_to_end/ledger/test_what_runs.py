@@ -8,6 +8,7 @@ from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from types import CodeType, FrameType
 from typing import Any
@@ -38,12 +39,18 @@ def module_of(path: Path) -> str:
     return ".".join(parts).removesuffix(".__init__")
 
 
+@cache
+def statements(path: Path) -> list[ast.stmt]:
+    """The top statements of a file, read once."""
+    return ast.parse(path.read_bytes()).body
+
+
 def defined_in(code: CodeType) -> tuple[str, str] | None:
     """The module and the top definition of a function; None of other people's, and of modules as they are imported."""
     path = Path(code.co_filename)
     if code.co_name == "<module>" or not path.is_relative_to(ROOT) or path.relative_to(ROOT).parts[0] not in PACKAGES:
         return None
-    for statement in ast.parse(path.read_bytes()).body:
+    for statement in statements(path):
         first = min(node.lineno for node in (statement, *getattr(statement, "decorator_list", ())))
         if first <= code.co_firstlineno <= (statement.end_lineno or 0):
             names = [node.id for node in ast.walk(statement) if isinstance(node, ast.Name)]  # of an assignment
