@@ -19,13 +19,17 @@ from typing import Any
 
 import numpy as np
 import torch
-from denoising.pairs import Batches, Pairs, Source
+from denoising.pairs import EXPOSURE, Batches, Cameras, Pairs, Source, TheseCameras, any_camera
 from denoising.training import Schedule, Training, checked, checks, loss_of
 from torch.utils.data import DataLoader
 
 from novags.methods.denoised.network import Network, NetworkConfig
 from novags.methods.denoised.weights import save_weights
 from novags.testbed.console.cores import cores_here
+from novags.testbed.console.terminal import Console
+from novags.testbed.importing.calibration.dark_frames import find_dark_frames
+from novags.testbed.importing.calibration.frames import read_frame
+from novags.testbed.stages.configs.capturing import camera_file
 
 SAID = 30.0  # s between two lines of progress
 CHECKED = 10  # lines between two looks at pairs that are not trained on, which take a second
@@ -48,6 +52,10 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--blocks", type=int, nargs="+", default=list(NetworkConfig.blocks))
     parser.add_argument("--stock", type=int, default=256, help="synthetic pictures that are kept at a time")
     parser.add_argument("--rendered-share", type=float, default=0.4, help="of the crops")
+    parser.add_argument("--cameras", nargs="*", default=[], help="presets or files; none: drawn at random")
+    parser.add_argument(
+        "--dark-frames", type=Path, help="of the one camera: its noise without light is drawn from them"
+    )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument(
         "--makers", type=int, default=int(cores_here() > 1), help="other processes that make pairs ahead; 0: none"
@@ -55,14 +63,34 @@ def arguments() -> argparse.Namespace:
     return parser.parse_args()
 
 
+def cameras_of(names: list[str], dark_frames: Path | None) -> Cameras:
+    """Those that photograph the pictures.
+
+    Raises:
+        ValueError: If dark frames are not of one camera, or not of this one.
+    """
+    files = [camera_file(name) for name in names]
+    if dark_frames is None:
+        return TheseCameras([file.sensor for file in files]) if files else any_camera
+    if len(files) != 1:
+        raise ValueError(f"--dark-frames are of one camera, got {len(files)} of --cameras: name theirs alone")
+    folder, (file,) = find_dark_frames(dark_frames, files[0]), files
+    size = read_frame(folder.files[0]).dn.shape[-2:]
+    dark = folder.read(file.sensor, (size[0], size[1]), EXPOSURE.time, Console(quiet=True))
+    return TheseCameras([file.sensor], dark)
+
+
 def main() -> None:
     asked = arguments()
+    cameras = cameras_of(asked.cameras, asked.dark_frames)
     torch.manual_seed(asked.seed)
     network = Network(NetworkConfig(widths=tuple(asked.widths), blocks=tuple(asked.blocks)))
     network.to(memory_format=torch.channels_last)
     settings = {name: getattr(asked, name) for name in
                 ("seed", "crop", "batch", "widths", "blocks", "loss", "stock", "rendered_share")}  # fmt: skip
     settings["sets"] = [path.name for path in sorted(asked.sets)]
+    settings["cameras"] = [Path(name).name for name in asked.cameras]
+    settings["dark_frames"] = "" if asked.dark_frames is None else asked.dark_frames.name
     loss = partial(loss_of, kind=asked.loss)
     training = Training(network, Schedule(steps=asked.steps, rate=asked.rate), loss, settings)
     checkpoint = asked.out.with_suffix(".checkpoint.safetensors")
@@ -71,16 +99,15 @@ def main() -> None:
     kept = checks(12, 96)
     print(f"{sum(p.numel() for p in network.parameters())} parameters, {len(source.rendered)} rendered views, "
           f"step {training.step} of {asked.steps}", flush=True)  # fmt: skip
-    run(training, source, kept, asked, checkpoint, before)
+    run(training, Batches(source, cameras, asked.seed, asked.crop, asked.batch), kept, asked, checkpoint, before)
 
 
 def run(
-    training: Training, source: Source, kept: list[Pairs], asked: argparse.Namespace, checkpoint: Path, before: float
+    training: Training, made: Batches, kept: list[Pairs], asked: argparse.Namespace, checkpoint: Path, before: float
 ) -> None:
     started, cpu = time.perf_counter(), time.process_time() - before
     first, said, saved, losses, lines = training.step, time.perf_counter(), time.perf_counter(), [], 0
     last = min(asked.steps, asked.stop or asked.steps)
-    made = Batches(source, asked.seed, asked.crop, asked.batch)
     # Fresh processes: a copy of this one would hold locks of the threads that the network's kernels have started.
     ahead: dict[str, Any] = {"multiprocessing_context": "spawn", "prefetch_factor": 8} if asked.makers else {}
     for pairs in DataLoader(made, batch_size=None, sampler=range(first, last), num_workers=asked.makers, **ahead):
@@ -100,9 +127,9 @@ def run(
     shown = shlex.join(
         ["python", "scripts/train_denoiser.py", *(Path(a).name if "/" in a else a for a in sys.argv[1:])]
     )
-    made = {"command": shown, "seed": asked.seed, "steps": training.step, "cpu_seconds": time.process_time() - cpu,
+    record = {"command": shown, "seed": asked.seed, "steps": training.step, "cpu_seconds": time.process_time() - cpu,
             "sets": training.settings["sets"], "torch": torch.__version__}  # fmt: skip
-    save_weights(asked.out, training.network, made)
+    save_weights(asked.out, training.network, record)
     print(asked.out)
 
 

@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from novags.methods.denoised.weights import load_weights, made_by
+from sensor_model import PRESETS, DarkFrames
 
 SCRIPTS = Path(__file__).resolve().parents[1] / "scripts"
 
@@ -35,6 +36,62 @@ def test_the_noise_of_a_pair_has_the_variance_that_the_network_is_told() -> None
         assert float(found.mask.mean()) == pytest.approx(1 / 3 if bayer else 1)
         # a fixed pattern and row noise of up to a fifth are on top; 5 standard errors of a variance, doubled for tails
         torch.testing.assert_close(off.square().sum((2, 3)) / count, stated, rtol=0.35, atol=0)
+
+
+def test_given_cameras_take_turns_as_mosaics_and_three_chips_each_time_as_another_copy() -> None:
+    from denoising.pairs import TheseCameras
+
+    given = [PRESETS[name] for name in ("a7s2-iso6400", "imx900-hcg")]
+    rng = np.random.default_rng(0)
+    drawn = [TheseCameras(given)(rng) for _ in range(200)]
+    assert all(dark is None for _, dark in drawn)
+    kinds = [(given.index(replace(sensor, cfa="RGGB", serial=next(g.serial for g in given if g.gain == sensor.gain))),
+              sensor.cfa) for sensor, _ in drawn]  # fmt: skip
+    counts = {kind: kinds.count(kind) for kind in set(kinds)}
+    assert counts.keys() == {(0, "RGGB"), (0, None), (1, "RGGB"), (1, None)}
+    assert min(counts.values()) > 50 - 5 * 6.2  # five standard deviations of 200 draws of a quarter
+    assert len({sensor.serial for sensor, _ in drawn}) == 200
+
+
+def test_of_a_camera_with_dark_frames_the_noise_without_light_is_theirs_and_the_network_is_told_so() -> None:
+    from denoising.pairs import TheseCameras, photograph
+
+    camera = PRESETS["a7s2-iso6400"]
+    signs = np.random.default_rng(1).integers(0, 2, (40, 40, 40)) * 2 - 1
+    codes = np.round(camera.black_level + 7 + 60 * signs).astype(np.uint16)  # no distribution that a camera has
+    cameras = TheseCameras([camera], DarkFrames(codes=codes, sensor=camera))
+    rng, clean, variance = np.random.default_rng(2), np.full((32, 32, 3), 0.5, np.float32), (60 / camera.gain) ** 2
+    for k in range(6):
+        sensor, dark = cameras(rng)
+        found = photograph(clean, sensor, 0.02, k, dark)
+        of = found.electrons[found.mask == 1]
+        fourth = float((of - of.mean()).pow(4).mean() / (of - of.mean()).square().mean() ** 2)
+        assert fourth < 1.2  # two values; 3 of a normal distribution
+        assert float(of.mean()) == pytest.approx(0.02, abs=5 * (variance / len(of)) ** 0.5)  # 7 DN over black are known
+        torch.testing.assert_close(found.read_variance, torch.full((1, 3), variance), rtol=0.02, atol=0)
+    places = {tuple(photograph(clean, sensor, 0.02, k, dark).electrons.flatten()[:40].tolist()) for k in range(9)}
+    assert len(places) == 9
+    with pytest.raises(ValueError, match="dark frames are of one camera, got 2 cameras"):
+        TheseCameras([camera, camera], DarkFrames(codes=codes, sensor=camera))
+
+
+def test_what_another_camera_changes_is_paired_and_its_error_is_over_scenes(tmp_path: Path) -> None:
+    from denoising.another_camera import SIDE, dark_frames, shown
+
+    gain = {"x": 1.0, "y": 2.0}
+    rows = [
+        {"trained_on": name, "seed": seed, "scene": scene, "sensor": "b", "electrons": level,
+         "psnr": str(20 + hard + (gain[scene] if name == "a" else 0)), "squared_error": "0.5"}
+        for name in "ba" for seed, hard in (("0", 0), ("1", 3)) for scene in "xy" for level in ("5", "20")
+    ]  # fmt: skip
+    assert "| b | 21.50 |  | 0.5000 |  |" in shown(rows, "b")
+    assert "| a | 23.00 | +1.50 ± 0.50 | 0.5000 | +0.0000 |" in shown(rows, "b")
+    dark_frames("d850-iso6400", tmp_path / "dark")
+    frames = np.stack([np.load(file) for file in sorted((tmp_path / "dark").iterdir())])
+    assert frames.shape[1:] == (SIDE, SIDE)
+    camera = PRESETS["d850-iso6400"]
+    assert frames.mean() == pytest.approx(camera.black_level, abs=0.5)
+    assert not (frames[0] == frames[1]).all()
 
 
 def test_a_picture_follows_from_its_number_and_the_stock_from_the_step() -> None:
@@ -119,6 +176,7 @@ def test_a_training_is_continued_with_the_same_settings_alone(tmp_path: Path, mo
         ("--widths 4 8", r"widths must be .* \[4, 6\], got \[4, 8\]"),
         ("--loss l2", "loss must be .* l1, got l2"),
         ("--rate 0.002", "the rate of the 2 steps that are done .* --rate 0.001, got --steps 4 --rate 0.002"),
+        ("--cameras d850-iso6400", r"cameras must be .* \[\], got \['d850-iso6400'\]"),
         ("--steps 1", "had --steps 9 .* got --steps 1 "),
     ):
         with pytest.raises(ValueError, match=message) as error:

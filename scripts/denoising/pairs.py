@@ -4,7 +4,8 @@ The camera is `sensor_model`'s own. A network is given electrons and the read va
 find the electrons that the same light gives without noise, of all channels of all pixels.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -15,7 +16,7 @@ from torch.utils.data import Dataset
 
 from denoising.pictures import Picture, picture
 from novags.methods.denoised.packing import mask_of, spread
-from sensor_model import Exposure, Sensor, expose, mosaic, raw_noise
+from sensor_model import DarkFrames, Exposure, Measured, Sensor, expose, mosaic, raw_noise
 from sensor_model.params import CFAS
 from simscenes.sets.multiview import load_set
 
@@ -25,6 +26,12 @@ LEVELS = (1.0, 200.0)  # e-, mean green over a picture
 READ_NOISE = (0.4, 4.0)  # e-
 BAYER_SHARE = 0.5
 RENEWED = 4  # steps after which one picture of the stock is exchanged
+
+
+Camera = tuple[Sensor, DarkFrames | None]
+"""What takes a picture; the noise that is there without light is drawn from dark frames, if there are any."""
+Cameras = Callable[[Rng], Camera]
+"""Draws one for each picture."""
 
 
 @dataclass(frozen=True)
@@ -59,19 +66,66 @@ def random_camera(rng: Rng, *, bayer: bool) -> Sensor:
     )  # fmt: skip
 
 
-def photograph(clean: Picture, sensor: Sensor, electrons: float, seed: int) -> Pairs:
-    """One picture, linear RGB [H, W, 3], at this mean of its green channel, as a batch of one."""
+def any_camera(rng: Rng) -> Camera:
+    """A camera that nobody built: the network is to work for all."""
+    return random_camera(rng, bayer=rng.random() < BAYER_SHARE), None
+
+
+class TheseCameras:
+    """Copies of given cameras, each as likely as any other, mosaics and three chips alike.
+
+    Each picture has a copy of its own, with another fixed pattern: what is learnt is a kind of camera. With dark frames
+    all noise that is there without light is theirs, and each picture sees another part of them.
+    """
+
+    def __init__(self, sensors: Sequence[Sensor], dark: DarkFrames | None = None) -> None:
+        if dark is not None and len(sensors) != 1:
+            raise ValueError(
+                f"dark frames are of one camera, got {len(sensors)} cameras beside them: name theirs alone"
+            )
+        self.sensors, self.dark = tuple(sensors), {}
+        if dark is not None:
+            for cfa in (sensors[0].cfa, None):
+                self.dark[cfa] = DarkFrames(codes=dark.codes, sensor=replace(sensors[0], cfa=cfa), gain=dark.gain)
+
+    def __call__(self, rng: Rng) -> Camera:
+        """One copy of one of them."""
+        sensor = self.sensors[int(rng.integers(len(self.sensors)))]
+        cfa = sensor.cfa if rng.random() < BAYER_SHARE else None
+        return replace(sensor, cfa=cfa, serial=int(rng.integers(2**32))), self.dark.get(cfa)
+
+
+def photograph(clean: Picture, sensor: Sensor, electrons: float, seed: int, dark: DarkFrames | None = None) -> Pairs:
+    """One picture, linear RGB [H, W, 3], at this mean of its green channel, as a batch of one.
+
+    What a camera with dark frames is told of its noise is the noise of these.
+    """
     mean = clean.astype(np.float64) * np.asarray(sensor.rgb_response) * (electrons / clean[..., 1].mean())
     photons = mean / sensor.eta
     light = photons if sensor.cfa is None else mosaic(photons, sensor.cfa)
-    frame = expose(light, sensor, EXPOSURE, seed=seed, view=0, threads=1)
-    noise = raw_noise(sensor, EXPOSURE)
+    exposure, measured = EXPOSURE, None
+    if dark is not None:
+        exposure, measured = replace(EXPOSURE, origin=_place(dark, light, seed)), Measured(dark=dark)
+    frame = expose(light, sensor, exposure, seed=seed, view=0, threads=1, measured=measured)
+    told = sensor if dark is None else dark.described
+    noise = raw_noise(told, EXPOSURE)
     found = torch.from_numpy((frame.dn - sensor.black_level).astype(np.float32) / sensor.gain)
     mask = mask_of(clean.shape[:2], sensor.cfa)
     spaced = found.permute(2, 0, 1)[None] if sensor.cfa is None else spread(found[None], mask)
+    spaced = (spaced - torch.tensor(told.rgb_bias, dtype=torch.float32)[:, None, None] / sensor.gain) * mask
     variance = torch.tensor(noise.offset, dtype=torch.float32)[None] / sensor.gain**2
     truth = torch.from_numpy(np.minimum(mean, sensor.capacity_e).astype(np.float32)).permute(2, 0, 1)[None]
     return Pairs(spaced, mask, variance, truth)
+
+
+def _place(dark: DarkFrames, light: np.ndarray, seed: int) -> tuple[int, int]:
+    """Where in the dark frames a picture lies; even, as colour filters begin."""
+    rng = np.random.default_rng([seed, 11])
+    y, x = (
+        2 * int(rng.integers((whole - part) // 2 + 1))
+        for whole, part in zip(dark.codes.shape[1:], light.shape[:2], strict=True)
+    )
+    return y, x
 
 
 class Source:
@@ -131,16 +185,16 @@ def _smoothed(radiance: Picture, albedo: Picture) -> Picture:
     return cv2.GaussianBlur(np.stack(planes, -1), (0, 0), 1.5) * reflecting
 
 
-def batch(source: Source, rng: Rng, step: int, *, crop: int, count: int) -> Pairs:
+def batch(source: Source, cameras: Cameras, rng: Rng, step: int, *, crop: int, count: int) -> Pairs:
     """So many pairs of crops."""
     low, high = np.log(LEVELS)
     made = []
     for _ in range(count):
-        camera = random_camera(rng, bayer=rng.random() < BAYER_SHARE)
+        sensor, dark = cameras(rng)
         clean = source.draw(rng, step, crop)
         # The level belongs to a whole picture, so that dark corners are seen as well as bright ones.
         level = float(np.exp(rng.uniform(low, high))) * float(clean[..., 1].mean())
-        made.append(photograph(clean, camera, max(level, 0.02), int(rng.integers(2**31))))
+        made.append(photograph(clean, sensor, max(level, 0.02), int(rng.integers(2**31)), dark))
     return Pairs(*(torch.cat([getattr(one, name) for one in made]) for name in Pairs.__dataclass_fields__))
 
 
@@ -149,9 +203,11 @@ class Batches(Dataset[Pairs]):
     """Batches by the number of their step, so that another process can make them ahead."""
 
     source: Source
+    cameras: Cameras
     seed: int
     crop: int
     count: int
 
     def __getitem__(self, step: int) -> Pairs:
-        return batch(self.source, np.random.default_rng([self.seed, step]), step, crop=self.crop, count=self.count)
+        rng = np.random.default_rng([self.seed, step])
+        return batch(self.source, self.cameras, rng, step, crop=self.crop, count=self.count)
