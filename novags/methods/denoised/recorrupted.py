@@ -13,6 +13,9 @@ How far the adapted network is followed is decided by the same two copies (see `
 
 Of a mosaic, y2 says nothing about the channels that were not measured, and a network that is told nothing about them
 forgets how to interpolate: there it is held to that first estimate.
+
+Renders of a scene that was fitted to all views are a second teacher, if there are any: what they show of a view comes
+from the others too.
 """
 
 import math
@@ -52,11 +55,27 @@ def recorrupted(data: Tensor, deviation: Tensor, strength: float, generator: tor
     return data + strength * z, data - z / strength
 
 
+@dataclass(frozen=True)
+class Teacher:
+    """Renders of the views, from which a network learns beside the data.
+
+    Attributes:
+        electrons: As `MeasuredPictures` has them, all channels [C, 3, H, W]; NaN where a render says nothing.
+        weight: Of the squared distance from them in units of the noise of the data; 1: as much as a second exposure.
+    """
+
+    electrons: Tensor
+    weight: float
+
+
 class Adaptation:
     """A network in training on the pictures of one capture."""
 
-    def __init__(self, network: Network, pictures: MeasuredPictures, config: AdaptConfig, seed: int) -> None:
-        self.network, self.pictures, self.config = network, pictures, config
+    def __init__(
+        self, network: Network, pictures: MeasuredPictures, config: AdaptConfig, seed: int,
+        teacher: Teacher | None = None,
+    ) -> None:  # fmt: skip
+        self.network, self.pictures, self.config, self.teacher = network, pictures, config, teacher
         self.first = estimate_all(network, pictures.electrons, pictures.mask, pictures.read_variance, turns=1)
         self.flags = Flags.on(self.first.device)
         self.generator = torch.Generator(self.first.device).manual_seed(seed)
@@ -67,7 +86,7 @@ class Adaptation:
 
     def loss(self) -> Tensor:
         """Squared distance of the estimates for y1 from y2, in units of the noise of y2; see above for gaps in y2."""
-        electrons, held, mask = self._crops()
+        electrons, held, mask, *taught = self._crops()
         variance = self.variance(held)
         a = self.config.strength
         first, second = recorrupted(electrons, variance.sqrt(), a, self.generator)
@@ -75,7 +94,12 @@ class Adaptation:
         # y1 has the noise of an exposure of 1 / more of the light: in its own electrons it is like any other picture.
         found = more * estimate(self.network, first / more, mask, self.pictures.read_variance / more)
         wanted = torch.where(mask > 0, second, held)
-        return ((found - wanted).square() / (variance * (1 + 1 / a**2))).sum() / mask.sum()
+        loss = ((found - wanted).square() / (variance * (1 + 1 / a**2))).sum() / mask.sum()
+        if self.teacher is not None:
+            (render,) = taught
+            apart = (found - torch.where(render.isnan(), found.detach(), render)).square() / variance
+            loss = loss + self.teacher.weight * apart.mean()
+        return loss
 
     def variance(self, first: Tensor) -> Tensor:
         """Of the data at these first estimates [..., 3, h, w]."""
@@ -119,8 +143,9 @@ class Adaptation:
         return best_blend(*(torch.cat(each) for each in zip(*found, strict=True)))
 
     def _crops(self) -> list[Tensor]:
-        """Random crops of data, first estimate and mask, flipped and turned alike, [batch, 3, crop, crop]."""
+        """Random crops of data, first estimate, mask and renders, flipped and turned alike, [batch, 3, crop, crop]."""
         data, mask = self.pictures.electrons, self.pictures.mask
+        taught = [] if self.teacher is None else [self.teacher.electrons]
         count, _, height, width = data.shape
         side = min(self.config.crop, height, width)
         parts = []
@@ -128,7 +153,7 @@ class Adaptation:
             view, turn = self._integer(count), self._integer(8)
             top, left = self._integer(height - side + 1), self._integer(width - side + 1)
             window = (..., slice(top, top + side), slice(left, left + side))
-            cut = [x[window] for x in (data[view], self.first[view], mask[0])]
+            cut = [x[window] for x in (data[view], self.first[view], mask[0], *(one[view] for one in taught))]
             parts.append([turned(x[None], turn) for x in cut])
         return [torch.cat(each) for each in zip(*parts, strict=True)]
 
@@ -165,6 +190,7 @@ def adapt(
     seed: int,
     progress: Progress | None = None,
     more: int = 0,
+    teacher: Teacher | None = None,
 ) -> Adapted:
     """Adapt a copy of a network to a capture.
 
@@ -175,9 +201,10 @@ def adapt(
         seed: Of crops and noise.
         progress: Called after every step with (steps done, of how many, {"denoiser": loss}).
         more: Steps that are to follow after these, for `progress`.
+        teacher: Renders to learn from beside the data.
     """
     after = deepcopy(network)
-    training = Adaptation(after, pictures, config, seed)
+    training = Adaptation(after, pictures, config, seed, teacher)
 
     def report(step: int, loss: float) -> None:
         if progress is not None:

@@ -1,19 +1,11 @@
 """Denoise the raw data, develop, enhance, then fit Gaussians to the result: the limit of 2D denoising alone."""
 
-import dataclasses
 import time
 from pathlib import Path
 
-from torch import Tensor
-
 from novags.methods.denoised.config import DenoisedConfig
-from novags.methods.denoised.kept import after_denoising, denoised_pictures
-from novags.methods.enhanced.config import EnhancedFitConfig
-from novags.methods.enhanced.gaussian_fit import fit_enhanced
-from novags.methods.enhancers.applying import enhanced, enhanced_light
-from novags.methods.enhancers.choice import Enhancement
-from novags.methods.inputs import Pictures
-from novags.methods.problem import Problem, gathered
+from novags.methods.denoised.kept import after_denoising, denoised_pictures, fit_denoised
+from novags.methods.problem import Problem
 from novags.methods.reconstruction import Progress, Reconstruction
 
 
@@ -40,14 +32,6 @@ def train(
     linear, earlier = denoised_pictures(problem, config, progress, checkpoint)
     denoising = earlier + time.perf_counter() - started
 
-    def targets(problem: Problem, enhancer: Enhancement, pictures: Pictures) -> Tensor:
-        return gathered(enhanced_light(problem, linear, enhancer, pictures), linear)
-
-    fitting = EnhancedFitConfig(
-        pictures=config.pictures, enhance=config.enhance, init_scale=config.init_scale, fit=config.fit
-    )
-    result = fit_enhanced(problem, fitting, targets, after_denoising(progress, config), checkpoint)
-    result.config = dataclasses.replace(config, fit=result.config.fit)
-    result.enhanced = enhanced(problem, config.enhance, config.pictures)
+    result = fit_denoised(problem, config, linear, after_denoising(progress, config), checkpoint)
     result.seconds = {"denoise": denoising, **result.seconds}
     return result
