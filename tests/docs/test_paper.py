@@ -1,0 +1,67 @@
+"""The page on the paper's claims says what the measured tables say."""
+
+import csv
+import re
+from pathlib import Path
+
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+
+
+def rows(name: str) -> dict[str, list[str]]:
+    with (DOCS / "tables" / name).open(encoding="utf-8") as file:
+        return {row[0].removesuffix(" †"): row[1:] for row in csv.reader(file)}
+
+
+def claim(start: str) -> str:
+    """The cell beside a claim of the paper."""
+    (line,) = [line for line in (DOCS / "paper.md").read_text("utf-8").splitlines() if line.startswith(f"| {start}")]
+    return line.split(" | ")[1]
+
+
+def number(cell: str) -> float:
+    return float(re.match(r"[-+]?[\d.]+", cell)[0])  # type: ignore[index]
+
+
+def test_the_places_in_the_papers_table_are_the_places_of_the_measured_scores() -> None:
+    """Of the ten methods that the paper compares, by PSNR and by tone-aligned PSNR."""
+    table = rows("table1/paper.csv")
+    levels = [head.partition(":")[0] for head in table.pop("")]
+    assert len(table) == 10
+    for k, level in enumerate(levels):
+        ours = {name: [float(value) for value in cells[k].split(", ")[1:]] for name, cells in table.items()}
+        places = [1 + sum(found[j] > ours["nova-small"][j] for found in ours.values()) for j in (0, 1)]
+        said = re.search(rf"(\d+)\w+ and (\d+)\w+ at `{level}`", claim("First on LLNeRF"))
+        assert said is not None
+        assert places == [int(said[1]), int(said[2])], level
+
+
+def test_differences_to_a_plain_gamma_are_the_differences_of_the_table() -> None:
+    said = claim("A guided filter")
+    for level in ("lom", "llnerf", "llrs", "mvtv"):
+        table = rows(f"table1/{level}.csv")
+        apart = number(table["naive"][0]) - number(table["gamma-gs"][0])
+        found = re.search(rf"([-+][\d.]+)(?: dB)? at `{level}`", said)
+        assert found is not None
+        assert f"{apart:+.2f}" == found[1], level
+    table = rows("table1/mvtv.csv")
+    ours, *others = (number(table[name][0]) for name in ("nova-small", "gamma-gs", "drago-gs"))
+    apart = [ours - other for other in others]
+    assert f"{apart[0]:.1f} and {apart[1]:.1f} dB" in claim("In 16 bits")
+
+
+def test_figures_at_the_papers_length_and_of_ablations_are_of_their_tables() -> None:
+    head, *_ = (cells := rows("paper-length/paper-length-nova.csv"))[""]
+    assert head == "runs"
+    over, perceptual = cells["nova"][2], (cells["nova"][6], cells["naive"][6])
+    said = claim("Denoiser and penalty")
+    assert f"{over.rstrip('*').lstrip('+')} dB above `naive`" in said
+    assert "ST-LPIPS {:.3f} beside {:.3f}".format(*map(float, perceptual)).replace("0.", ".") in said
+    ablation = rows("ablations/ablation-levels-3.csv")
+    kinds = dict(zip(ablation.pop(""), zip(*ablation.values(), strict=True), strict=True))
+    names = list(ablation)
+    views = {name: float(kinds["inconsistency"][names.index(name)]) for name in ("base", "naive", "oracle")}
+    assert "between views {base:.3f}, `naive` {naive:.3f}, noise-free {oracle:.3f}".format(**views).replace(
+        "0.", "."
+    ) in claim("Views agree")
+    depth = [kinds["depth error, %"][names.index(name)] for name in ("base", "no-geo")]
+    assert "of depth of {} for {} %".format(*depth) in claim("The geometric loss")
