@@ -45,8 +45,8 @@ def test_differences_to_a_plain_gamma_are_the_differences_of_the_table() -> None
         assert f"{apart:+.2f}" == found[1], level
     table = rows("table1/mvtv.csv")
     ours, *others = (number(table[name][0]) for name in ("nova-small", "gamma-gs", "drago-gs"))
-    apart = [ours - other for other in others]
-    assert f"{apart[0]:.1f} and {apart[1]:.1f} dB" in claim("In 16 bits")
+    over = [ours - other for other in others]
+    assert f"{over[0]:.1f} and {over[1]:.1f} dB" in claim("In 16 bits")
 
 
 def test_figures_at_the_papers_length_and_of_ablations_are_of_their_tables() -> None:
