@@ -32,15 +32,19 @@ def test_every_kind_has_a_file_and_says_how_it_is_tried() -> None:
     assert set(get_args(Kind)) == {*PAGES, "study"} == TRIED.keys()
 
 
-def test_files_of_all_kinds_work_together(tmp_path: Path) -> None:
+def test_files_of_all_kinds_work_together(
+    tmp_path: Path, call: Callable[..., int], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     def novags(*words: str, refused: bool = False) -> str:
         done = subprocess.run([sys.executable, "-m", "novags", *words], cwd=tmp_path, capture_output=True, text=True,
                               env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)})  # fmt: skip
         assert done.returncode == (2 if refused else 0), done.stderr
         return done.stderr
 
+    monkeypatch.chdir(tmp_path)
     for kind in get_args(Kind):
-        assert "next: novags " in novags("new", kind, f"my-{kind}")
+        assert call("new", kind, f"my-{kind}") == 0
+        assert "next: novags " in capsys.readouterr().err
     plugins = [word for kind in PAGES for word in ("--plugin", f"my-{kind}.py")]
     novags("run", *plugins, "--scene", "my-scene", "--methods", "my-method", "my-enhancer-gs", "--cameras",
            "my-camera:step_deg=15", "--sensor", "my-effect.toml", "--out", "out", *TINY)  # fmt: skip
