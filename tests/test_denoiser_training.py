@@ -3,13 +3,14 @@
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 
 from novags.methods.denoised.weights import load_weights, made_by
-from sensor_model import PRESETS, DarkFrames
+from sensor_model import PRESETS, DarkFrames, Sensor
 
 SCRIPTS = Path(__file__).resolve().parents[1] / "scripts"
 
@@ -92,6 +93,41 @@ def test_what_another_camera_changes_is_paired_and_its_error_is_over_scenes(tmp_
     camera = PRESETS["d850-iso6400"]
     assert frames.mean() == pytest.approx(camera.black_level, abs=0.5)
     assert not (frames[0] == frames[1]).all()
+
+
+def test_the_camera_that_is_tested_is_a_copy_that_no_training_had_and_no_score_is_made_twice(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    from denoising import another_camera
+
+    taken: list[tuple[str, str | None, float, int, int]] = []
+
+    class Photographed:
+        def __init__(self, folder: Path, camera: Sensor, level: float, views: int, seed: int) -> None:
+            taken.append((folder.name, camera.cfa, level, camera.serial, seed))
+            self.pictures = SimpleNamespace(electrons=1, mask=2, read_variance=3)
+
+        def scores(self, electrons: object) -> tuple[float, float]:
+            assert electrons == ("network", 1, 2, 3)
+            return 20.0, 0.5
+
+    monkeypatch.setattr(another_camera, "Pictures", Photographed)
+    monkeypatch.setattr(another_camera, "load_weights", lambda path: path)
+    monkeypatch.setattr(another_camera, "estimate_all", lambda *inputs, turns: inputs)
+    asked = SimpleNamespace(sets=[tmp_path / "x", tmp_path / "y"], b="d850-iso6400", views=3)
+    rows = another_camera.tested("both", "network", 7, asked, [])  # type: ignore[arg-type]
+    levels = another_camera.LEVELS
+    camera = PRESETS["d850-iso6400"]
+    assert [place[:3] for place in taken] == [
+        (scene, cfa, level) for scene in "xy" for cfa in (None, camera.cfa) for level in levels
+    ]
+    assert {place[3:] for place in taken} == {(another_camera.UNSEEN, 7)}
+    assert camera.serial != another_camera.UNSEEN
+    assert {(row["psnr"], row["squared_error"]) for row in rows} == {("20", "0.5")}
+    assert another_camera.tested("both", "network", 7, asked, rows) == []  # type: ignore[arg-type]
+    words = another_camera.trainings("a", "b", Path("frames"))
+    assert words["dark frames of b"] == ["--cameras", "b", "--dark-frames", "frames"]
+    assert words["both"] == ["--cameras", "a", "b"]
 
 
 def test_a_picture_follows_from_its_number_and_the_stock_from_the_step() -> None:
