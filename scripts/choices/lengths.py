@@ -7,9 +7,10 @@ Differences are paired by scene, seed and view, and carry the standard error ove
 differences`); a star marks those whose 95 % interval leaves 0 out. Runs that are not finished are counted and left out.
 `--stops` is the same study with `hold_out`: its fits say after which length a method would stop itself, and the score
 there is of the fit with all views. `--kept` is a CSV of single scores: fits of the folder are added to it, and the
-tables are of all its fits, so that a study of many hours can be made in parts. The page has the tables between
-<!-- table: NAME --> and <!-- /table -->, NAME being the folder's, and NAME-along, NAME-scenes, NAME-stops; of a study
-whose fits are scored at their ends alone the first.
+tables are of all its fits, so that a study of many hours can be made in parts. Of a study with further axes `--only`
+takes one value of each: `--only electrons=20 sensor=a7s2-iso6400`. The page has the tables between <!-- table: NAME -->
+and <!-- /table -->, NAME being the folder's (of `--only` with the values: out-20-a7s2-iso6400), and NAME-along,
+NAME-scenes, NAME-stops; of a study whose fits are scored at their ends alone the first.
 """
 
 import argparse
@@ -59,9 +60,18 @@ class Fit:
         return self.scores.get(at, {}).get((kind, score), {})
 
 
-def fits_of(folder: Path) -> tuple[list[Fit], int]:
-    """The finished runs of a study, and how many it has in all."""
+def fits_of(folder: Path, only: Mapping[str, str]) -> tuple[list[Fit], int]:
+    """The finished runs of a study with these values of its axes, and how many it has of them in all.
+
+    Raises:
+        SystemExit: If the study has no such axis, or no such value.
+    """
     rows = json.loads((folder / "results.json").read_text(encoding="utf-8"))["rows"]
+    for axis, value in only.items():
+        there = [str(row[axis]) for row in rows if axis in row]
+        if value not in there:
+            raise SystemExit(f"lengths.py: no run of {folder} has {axis}={value}: {', '.join(dict.fromkeys(there))}")
+        rows = [row for row in rows if str(row.get(axis)) == value]
     found = []
     for row in rows:
         if row["state"] == "done":
@@ -220,16 +230,18 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--stops", type=Path, help="the same study with hold_out")
     parser.add_argument("--kept", type=Path, help="CSV of single scores, to which the folder's are added")
+    parser.add_argument("--only", nargs="*", default=[], metavar="AXIS=VALUE", help="runs with these values")
     parser.add_argument("--than", default="naive", help="the method that the others are compared with")
     parser.add_argument("--page", type=Path, required=True)
     options = parser.parse_args()
-    fits, runs = fits_of(options.folder)
+    only = dict(one.split("=", 1) for one in options.only)
+    fits, runs = fits_of(options.folder, only)
     if options.kept:
         places = {(fit.method, fit.scene, fit.seed): fit for fit in [*read_kept(options.kept), *fits]}
         fits = list(places.values())
         keep(options.kept, fits)
-    holding = fits_of(options.stops)[0] if options.stops else []
-    name, than = options.folder.name, options.than
+    holding = fits_of(options.stops, only)[0] if options.stops else []
+    name, than = "-".join([options.folder.name, *only.values()]), options.than
     made = f"{len(fits)} runs" if options.kept else f"{len(fits)} of {runs} runs"
     write_table(options.page, name, f"{made}.\n\n" + at_the_end(fits, than))
     if not any(at for fit in fits for at in fit.scores):  # scored at their ends alone

@@ -81,3 +81,17 @@ def test_a_fit_that_is_made_again_takes_the_place_of_the_kept_one(lengths, monke
     assert [fit.stop for fit in lengths.read_kept(kept)] == [400] * 3
     values = lengths.together(lengths.read_kept(kept), "naive", "lit", "tone_aligned_psnr", 400, scene="b:1")
     assert values == {("b:1", "0", "0003"): 39.0, ("b:1", "0", "0008"): 39.25}
+
+
+def test_of_an_axis_one_value_can_be_taken_and_another_is_refused(lengths, monkeypatch, tmp_path):
+    folder, page = study(tmp_path / "s", NAIVE + NOVA), tmp_path / "page.md"
+    rows = json.loads((folder / "results.json").read_text("utf-8"))["rows"]
+    for row in rows:
+        row |= {"electrons": 20 if row["scene"] == "a:1" else 5, "sensor": "x"}
+    (folder / "results.json").write_text(json.dumps({"rows": rows}), "utf-8")
+    monkeypatch.setattr(sys.modules[__name__], "PAGE", PAGE.replace("table: s", "table: s-5-x"))
+    found = tables(lengths, monkeypatch, page, folder, "--only", "electrons=5", "sensor=x")
+    assert "2 of 2 runs" in found
+    assert "+2.50" in found  # of b:1 alone
+    with pytest.raises(SystemExit, match=r"no run of .* has electrons=7: 20, 5"):
+        tables(lengths, monkeypatch, page, folder, "--only", "electrons=7")
