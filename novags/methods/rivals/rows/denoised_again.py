@@ -42,5 +42,5 @@ METHOD = Method(
     train=Later("novags.methods.rivals.denoised_again:train"),
     parts=parts,
     source="Denoise-GS, whose U-Net is refined by renders before a second fit; a network of ours in its place",
-    memory=Memory(fixed=0.6e9, pictures=4.0, work=100.0),
+    memory=Memory(fixed=0.6e9, pictures=7.0, work=100.0),
 )
