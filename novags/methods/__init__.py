@@ -27,7 +27,7 @@ METHODS: Registry[Method] = Registry(
         "retinexformer-gs": "novags.methods.enhancers.networks.rows.retinexformer:METHOD",
         "naka-net-gs": "novags.methods.enhancers.networks.rows.naka_net:METHOD",
         "denoise-gs": "novags.methods.denoised.row:METHOD",
-        "denoise-gs-again": "novags.methods.rivals.rows.denoised_again:METHOD",
+        "denoise-gs-twice": "novags.methods.rivals.rows.denoised_twice:METHOD",
         "luminance-gs": "novags.methods.rivals.rows.luminance_gs:METHOD",
         "lita-gs": "novags.methods.rivals.rows.lita_gs:METHOD",
         "gaussian-dk": "novags.methods.rivals.rows.gaussian_dk:METHOD",

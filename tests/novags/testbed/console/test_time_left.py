@@ -8,6 +8,7 @@ from novags.methods import METHODS
 from novags.methods.denoised.config import DenoisedConfig
 from novags.methods.nova.config import NovaConfig
 from novags.methods.nova_plus.config import NovaPlusConfig
+from novags.methods.rivals.rows.denoised_twice import DenoisedTwiceConfig
 from novags.methods.rivals.rows.raw3dgs import Raw3dgsConfig
 from novags.testbed.console import terminal as console
 from novags.testbed.console.time_left import TimeLeft
@@ -107,6 +108,8 @@ def test_the_parts_of_a_method_are_what_its_progress_counts(name: str) -> None:
         expected["denoiser"] = config.denoiser.warmup_steps
     elif isinstance(config, DenoisedConfig):
         expected["denoiser"] = config.denoise.adapt.steps
+        if isinstance(config, DenoisedTwiceConfig):
+            expected |= {"denoiser again": expected["denoiser"], "first fit": iterations}
     elif isinstance(config, NovaPlusConfig):  # 5, 5 and 1 twelfths; two seeds
         expected = dict.fromkeys(("likelihood", "structure"), 2 * round(iterations * 5 / 12))
         expected |= {"merged": round(iterations / 12), "denoiser": config.denoise.adapt.steps}

@@ -1,4 +1,4 @@
-"""After Denoise-GS: denoising that learns from renders too, and a second fit (`denoised_again.py`)."""
+"""After Denoise-GS: denoising that learns from renders too, and a second fit (`denoised_twice.py`)."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,7 @@ from sensor_model.files.registry import Later
 
 
 @dataclass(frozen=True, kw_only=True)
-class DenoisedAgainConfig(DenoisedConfig):
+class DenoisedTwiceConfig(DenoisedConfig):
     """All choices; those of `DenoisedConfig` are of both rounds.
 
     Attributes:
@@ -27,7 +27,7 @@ class DenoisedAgainConfig(DenoisedConfig):
             raise ValueError(f"render_weight must be > 0, got {self.render_weight}: denoise-gs is without renders")
 
 
-def parts(config: DenoisedAgainConfig) -> dict[str, int]:
+def parts(config: DenoisedTwiceConfig) -> dict[str, int]:
     """`Method.parts`: both rounds."""
     once = one_round(config)
     return {"denoiser": once["denoiser"], "first fit": once["fit"], "denoiser again": once["denoiser"],
@@ -38,9 +38,9 @@ METHOD = Method(
     title="denoise and fit as denoise-gs does, then let the network learn from the renders too, denoise and fit again",
     family="2D + GS",
     color="#a05195",
-    config=DenoisedAgainConfig,
-    train=Later("novags.methods.rivals.denoised_again:train"),
+    config=DenoisedTwiceConfig,
+    train=Later("novags.methods.rivals.denoised_twice:train"),
     parts=parts,
     source="Denoise-GS, whose U-Net is refined by renders before a second fit; a network of ours in its place",
-    memory=Memory(fixed=0.6e9, pictures=7.0, work=100.0),
+    memory=Memory(fixed=0.6e9, pictures=4.0, work=100.0),
 )

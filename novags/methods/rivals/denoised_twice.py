@@ -17,6 +17,7 @@ Both fits begin at the first points and have all iterations.
 
 import dataclasses
 import time
+from collections.abc import Iterable
 from pathlib import Path
 
 import torch
@@ -28,12 +29,12 @@ from novags.methods.denoised.measured import MeasuredPictures, measured
 from novags.methods.denoised.recorrupted import Teacher
 from novags.methods.problem import Problem, encode
 from novags.methods.reconstruction import Progress, Reconstruction
-from novags.methods.rivals.rows.denoised_again import DenoisedAgainConfig
+from novags.methods.rivals.rows.denoised_twice import DenoisedTwiceConfig
 from sensor_model.isp import srgb_to_linear
 
 
 def train(
-    problem: Problem, config: DenoisedAgainConfig, *, progress: Progress | None = None, checkpoint: Path | None = None
+    problem: Problem, config: DenoisedTwiceConfig, *, progress: Progress | None = None, checkpoint: Path | None = None
 ) -> Reconstruction:
     """Reconstruct from pictures that were denoised with the help of a first reconstruction.
 
@@ -62,25 +63,28 @@ def train(
     linear, spent = denoised_pictures(problem, alone, counted[0], early)
     denoising = spent + time.perf_counter() - started
     first = fit_denoised(problem, alone, linear, counted[1], early)
+    first.enhanced = None  # as many floats as all pictures have, and so is each of what follows
     cameras = problem.views if first.viewmats is None else dataclasses.replace(problem.views, viewmats=first.viewmats)
     assert first.targets is not None
-    renders = electrons_of(first.render(cameras)[0], linear, first.targets, measured(problem))
+    renders = (first.render(camera)[0][0] for camera in cameras.each())
+    teacher = Teacher(electrons_of(renders, linear, first.targets, measured(problem)), config.render_weight)
+    fitting = first.seconds["fit"]
+    del first, linear, renders
 
     started = time.perf_counter()
-    again, spent = denoised_pictures(problem, config, counted[2], checkpoint, Teacher(renders, config.render_weight))
+    again, spent = denoised_pictures(problem, config, counted[2], checkpoint, teacher)
+    del teacher
     denoising += spent + time.perf_counter() - started
     result = fit_denoised(problem, config, again, counted[3], checkpoint)
-    result.seconds = {"denoise": denoising, **result.seconds, "fit": first.seconds["fit"] + result.seconds["fit"]}
-    changed = torch.from_numpy(encode(again.cpu().numpy()) - encode(linear.cpu().numpy()))
-    result.found = {"change of the second denoising": float(changed.square().mean().sqrt())}
+    result.seconds = {"denoise": denoising, **result.seconds, "fit": fitting + result.seconds["fit"]}
     return result
 
 
-def electrons_of(renders: Tensor, linear: Tensor, enhanced: Tensor, pictures: MeasuredPictures) -> Tensor:
+def electrons_of(renders: Iterable[Tensor], linear: Tensor, enhanced: Tensor, pictures: MeasuredPictures) -> Tensor:
     """Renders of enhanced pictures as the electrons that a camera would have counted on average.
 
     Args:
-        renders: [C, H, W, 3], enhanced.
+        renders: [H, W, 3], enhanced, view by view.
         linear: The pictures before the enhancement, linear light [C, H, W, 3].
         enhanced: The same after it.
         pictures: The measurements, for their units.
