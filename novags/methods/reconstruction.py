@@ -15,6 +15,16 @@ Space = Literal["enhanced", "linear", "lit"]
 Progress = Callable[[int, int, dict[str, float]], None]  # steps done, of how many, losses
 
 
+def counted_on(progress: Progress | None, before: int, after: int = 0) -> Progress | None:
+    """The progress of a part of a method: so many steps are before it, and so many follow."""
+
+    def report(done: int, total: int, entry: dict[str, float]) -> None:
+        if progress is not None:
+            progress(before + done, before + total + after, entry)
+
+    return progress and report
+
+
 class ReconstructedScene(Protocol):
     """A reconstructed scene of any kind."""
 

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from novags.methods.denoised.config import DenoiseConfig, DenoisedConfig, parts
+from novags.methods.denoised.config import DenoiseConfig, DenoisedConfig
 from novags.methods.denoised.denoiser import denoised
 from novags.methods.denoised.measured import MeasuredPictures, measured
 from novags.methods.denoised.recorrupted import Teacher
@@ -25,17 +25,6 @@ from novags.methods.problem import Problem, gathered
 from novags.methods.reconstruction import Progress, Reconstruction
 from novags.splats.files.tensors import digest, read, write_tensors
 from sensor_model.files.door import read_bytes
-
-
-def after_denoising(progress: Progress | None, config: DenoisedConfig) -> Progress | None:
-    """The progress of a fit whose steps count on from those of the adaptation."""
-    adapting = parts(config)["denoiser"]
-
-    def report(done: int, total: int, entry: dict[str, float]) -> None:
-        if progress is not None:
-            progress(adapting + done, adapting + total, entry)
-
-    return progress and report
 
 
 def denoised_pictures(

@@ -3,10 +3,10 @@
 import time
 from pathlib import Path
 
-from novags.methods.denoised.config import DenoisedConfig
-from novags.methods.denoised.kept import after_denoising, denoised_pictures, fit_denoised
+from novags.methods.denoised.config import DenoisedConfig, parts
+from novags.methods.denoised.kept import denoised_pictures, fit_denoised
 from novags.methods.problem import Problem
-from novags.methods.reconstruction import Progress, Reconstruction
+from novags.methods.reconstruction import Progress, Reconstruction, counted_on
 
 
 def train(
@@ -32,6 +32,6 @@ def train(
     linear, earlier = denoised_pictures(problem, config, progress, checkpoint)
     denoising = earlier + time.perf_counter() - started
 
-    result = fit_denoised(problem, config, linear, after_denoising(progress, config), checkpoint)
+    result = fit_denoised(problem, config, linear, counted_on(progress, parts(config)["denoiser"]), checkpoint)
     result.seconds = {"denoise": denoising, **result.seconds}
     return result

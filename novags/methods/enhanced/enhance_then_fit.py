@@ -21,7 +21,7 @@ from novags.methods.enhancers.networks.kind import Kind, described
 from novags.methods.enhancers.networks.rehearsal import learned
 from novags.methods.inputs import Pictures
 from novags.methods.problem import Problem, gathered
-from novags.methods.reconstruction import Progress, Reconstruction
+from novags.methods.reconstruction import Progress, Reconstruction, counted_on
 
 
 def train(
@@ -57,11 +57,7 @@ def _with_network(
         dark = problem.encoded(pictures)
         return gathered((kind.picture(network, view, enhance)[0] for view in dark), dark)
 
-    def report(done: int, total: int, entry: dict[str, float]) -> None:
-        if progress is not None:
-            progress(steps + done, steps + total, entry)
-
-    result = fit_enhanced(problem, config, through, progress and report, checkpoint)
+    result = fit_enhanced(problem, config, through, counted_on(progress, steps), checkpoint)
     record = enhancement_record(config.enhance, config.pictures)
     result.enhancement = {**record, "config": {**record["config"], "weights": [NETWORK]}}
     # Cloned: a block that is applied several times is one tensor under several names, which no file may hold.

@@ -28,7 +28,7 @@ from novags.methods.denoised.kept import denoised_pictures, fit_denoised
 from novags.methods.denoised.measured import MeasuredPictures, measured
 from novags.methods.denoised.recorrupted import Teacher
 from novags.methods.problem import Problem, encode
-from novags.methods.reconstruction import Progress, Reconstruction
+from novags.methods.reconstruction import Progress, Reconstruction, counted_on
 from novags.methods.rivals.rows.denoised_twice import DenoisedTwiceConfig
 from sensor_model.isp import srgb_to_linear
 
@@ -54,15 +54,14 @@ def train(
         ValueError: If a checkpoint is damaged or belongs to another run.
     """
     early = checkpoint and checkpoint.with_name(f"{checkpoint.stem}.first.safetensors")
-    steps = one_round(config)
-    counted = [_counted(progress, done, 2 * sum(steps.values())) for done in
-               (0, steps["denoiser"], sum(steps.values()), sum(steps.values()) + steps["denoiser"])]  # fmt: skip
+    adapting = one_round(config)["denoiser"]
+    once = adapting + config.fit.iterations
     alone = dataclasses.replace(config, fit=dataclasses.replace(config.fit, keep_at=()))
 
     started = time.perf_counter()
-    linear, spent = denoised_pictures(problem, alone, counted[0], early)
+    linear, spent = denoised_pictures(problem, alone, counted_on(progress, 0, once), early)
     denoising = spent + time.perf_counter() - started
-    first = fit_denoised(problem, alone, linear, counted[1], early)
+    first = fit_denoised(problem, alone, linear, counted_on(progress, adapting, once), early)
     first.enhanced = None  # as many floats as all pictures have, and so is each of what follows
     cameras = problem.views if first.viewmats is None else dataclasses.replace(problem.views, viewmats=first.viewmats)
     assert first.targets is not None
@@ -72,10 +71,10 @@ def train(
     del first, linear, renders
 
     started = time.perf_counter()
-    again, spent = denoised_pictures(problem, config, counted[2], checkpoint, teacher)
+    again, spent = denoised_pictures(problem, config, counted_on(progress, once), checkpoint, teacher)
     del teacher
     denoising += spent + time.perf_counter() - started
-    result = fit_denoised(problem, config, again, counted[3], checkpoint)
+    result = fit_denoised(problem, config, again, counted_on(progress, once + adapting), checkpoint)
     result.seconds = {"denoise": denoising, **result.seconds, "fit": fitting + result.seconds["fit"]}
     return result
 
@@ -101,13 +100,3 @@ def electrons_of(renders: Iterable[Tensor], linear: Tensor, enhanced: Tensor, pi
         shown = torch.from_numpy(srgb_to_linear(dark.cpu().numpy())).to(place)
         place.copy_(((shown if back is None else shown @ back.T) / pictures.unit).movedim(-1, 0))
     return found
-
-
-def _counted(progress: Progress | None, before: int, total: int) -> Progress | None:
-    """The progress of a part whose steps count on from those before it."""
-
-    def report(done: int, _: int, entry: dict[str, float]) -> None:
-        if progress is not None:
-            progress(before + done, total, entry)
-
-    return progress and report

@@ -21,14 +21,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from novags.methods.denoised.kept import after_denoising, denoised_pictures
+from novags.methods.denoised.config import parts
+from novags.methods.denoised.kept import denoised_pictures
 from novags.methods.enhanced.gaussian_fit import fit_for, reconstructed
 from novags.methods.enhancers import enhancement_record
 from novags.methods.enhancers.applying import enhanced, enhanced_light
 from novags.methods.gaussian_scene import GaussianScene
 from novags.methods.light import brightness
 from novags.methods.problem import Problem, gathered
-from novags.methods.reconstruction import Progress, Reconstruction
+from novags.methods.reconstruction import Progress, Reconstruction, counted_on
 from novags.methods.rivals.rows.hdrsplat import HdrsplatConfig
 from novags.methods.start import start_gaussians
 from novags.splats.training.fit import fit
@@ -90,7 +91,7 @@ def train(
     result = fit(
         start, problem.views, lambda i: (light[i] / unit).clamp(0, 1), config.fit,
         photometric=RelativeLoss(config.epsilon, config.fit.dssim_weight), checkpoint=checkpoint,
-        progress=after_denoising(progress, config),
+        progress=counted_on(progress, parts(config)["denoiser"]),
     )  # fmt: skip
     scene = dataclasses.replace(GaussianScene.of(result.gaussians, config.fit), matrix=unit * torch.eye(3))
     shown = gathered(enhanced_light(problem, light, config.enhance, config.pictures), light)

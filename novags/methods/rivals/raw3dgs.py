@@ -44,7 +44,7 @@ from novags.methods.gaussian_scene import GaussianScene
 from novags.methods.light import brightness, first_light, problem_light, raw_loss
 from novags.methods.noise_estimate import noise_of
 from novags.methods.problem import Problem, gathered, refuse_uneven
-from novags.methods.reconstruction import Progress, Reconstruction
+from novags.methods.reconstruction import Progress, Reconstruction, counted_on
 from novags.methods.rivals.rows.raw3dgs import Raw3dgsConfig, parts
 from novags.splats.gaussians import Gaussians
 from novags.splats.training.companion import Companion
@@ -158,21 +158,17 @@ def train(
     network = pretrained(problem, config, pictures, progress, checkpoint)
     loss = ExtractorLoss(network, pictures, config, unit=unit, white=white)
     companion = Companion(network=network, optimizer=torch.optim.Adam(network.parameters(), lr=config.extractor_rate))
-    before, last = parts(config)["pretraining"], COOL_FROM * config.fit.iterations
+    last = COOL_FROM * config.fit.iterations
 
     def cool(iteration: int) -> None:
         companion.rates = [config.extractor_rate * (1.0 if iteration < last else COOL_TO)]
-
-    def report(done: int, total: int, entry: dict[str, float]) -> None:
-        if progress is not None:
-            progress(before + done, before + total, entry)
 
     start = Gaussians.from_points(
         problem.start.points.to(colors), colors, sh_degree=config.fit.sh_degree, init_scale=config.init_scale
     )
     result = fit(
         start, problem.views, pictures.electrons.__getitem__, config.fit, photometric=loss, companion=companion,
-        before_step=cool, checkpoint=checkpoint, progress=report,
+        before_step=cool, checkpoint=checkpoint, progress=counted_on(progress, parts(config)["pretraining"]),
     )  # fmt: skip
     shown = GaussianScene.of(result.gaussians, config.fit)
     left, squares = _left(loss, shown, dataclasses.replace(problem.views, viewmats=result.viewmats))
