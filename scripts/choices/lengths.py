@@ -20,7 +20,7 @@ import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from statistics import fmean
+from statistics import fmean, median
 
 sys.path.insert(0, str(Path(__file__).parent))  # so that it is found where this file is loaded by its path
 
@@ -202,25 +202,28 @@ def by_scene(fits: list[Fit], than: str) -> str:
 
 
 def three_lengths(fits: list[Fit], holding: list[Fit]) -> str:
-    """Mean score at the end, at the own stop and at the best length of each fit, and the stops."""
+    """Mean score at the end, at the own stop and at the best length of each fit; the stops, and what they lose.
+
+    The fits of a method some of which have no stop are those that have one; where none has, all of them.
+    """
     stops = {(fit.method, fit.scene, fit.seed): fit.stop for fit in holding}
     rows, heads = dict[str, list[str]](), list[str]()
     for name in methods_of(fits):
-        places = [(fit, stops.get((name, fit.scene, fit.seed))) for fit in fits if fit.method == name]
-        places = [(fit, stop) for fit, stop in places if not stops or stop is not None]
+        every = [(fit, stops.get((name, fit.scene, fit.seed))) for fit in fits if fit.method == name]
+        places = [(fit, stop) for fit, stop in every if stop is not None]
         cells, heads = [], []
         for kind, score in SHARES.values():
-            curves = [{at: fmean(v.values()) for at in fit.scores if (v := fit.values(kind, score, at))}
-                      for fit, _ in places]  # fmt: skip
-            heads += [f"end, {score.removesuffix('_psnr')}", "own stop", "best"]
-            end, best = [curve[None] for curve in curves], [max(curve.values()) for curve in curves]
-            own = [curve.get(stop, curve[None]) for curve, (_, stop) in zip(curves, places, strict=True)]
-            cells += (
-                [f"{fmean(end):.2f}", f"{fmean(own):.2f}" if stops and own else "–", f"{fmean(best):.2f}"]
-                if curves
-                else ["–"] * 3
-            )
-        rows[name] = [*cells, ", ".join(str(stop) for _, stop in places if stop is not None) or "–"]
+            heads += [f"end, {score.removesuffix('_psnr')}", "own stop", "best", "loss: median (largest)"]
+            curves = [({at: fmean(v.values()) for at in fit.scores if (v := fit.values(kind, score, at))}, stop)
+                      for fit, stop in places or every]  # fmt: skip
+            end, best = (fmean(one) for one in zip(*((c[None], max(c.values())) for c, _ in curves), strict=True))
+            own, lost = "–", "–"
+            if places:
+                at_stop = [curve.get(stop, curve[None]) for curve, stop in curves]
+                losses = [max(curve.values()) - one for (curve, _), one in zip(curves, at_stop, strict=True)]
+                own, lost = f"{fmean(at_stop):.2f}", f"{median(losses):.2f} ({max(losses):.2f})"
+            cells += [f"{end:.2f}", own, f"{best:.2f}", lost]
+        rows[name] = [*cells, ", ".join(str(stop) for _, stop in places) or "–"]
     return table([*heads, "stops after"], rows)
 
 

@@ -95,3 +95,14 @@ def test_of_an_axis_one_value_can_be_taken_and_another_is_refused(lengths, monke
     assert "+2.50" in found  # of b:1 alone
     with pytest.raises(SystemExit, match=r"no run of .* has electrons=7: 20, 5"):
         tables(lengths, monkeypatch, page, folder, "--only", "electrons=7")
+
+
+def test_the_own_stop_loses_what_the_best_length_is_above_it(lengths, monkeypatch, tmp_path):
+    """Fits are 1 dB worse after 400 iterations, where `naive` stops itself; `nova` holds nothing out."""
+    held = study(tmp_path / "held", NAIVE[:2])
+    found = tables(lengths, monkeypatch, tmp_path / "page.md", study(tmp_path / "s", NAIVE + NOVA), "--stops", held)
+    rows = {row.split("|")[1].strip(): [cell.strip() for cell in row.split("|")[2:]] for row in found.splitlines()
+            if row.startswith("|")}  # fmt: skip
+    assert rows["`naive`"][:4] == ["21.12", "20.12", "21.12", "1.00 (1.00)"]  # of the two fits that have a stop
+    assert rows["`naive`"][8] == "400, 400"
+    assert rows["`nova`"][:4] == ["24.12", "–", "24.12", "–"]
