@@ -277,6 +277,16 @@ def test_pairs_without_a_camera_are_lost_and_a_mirrored_world_is_wrong():
     assert (len(turns), len(directions)) == (6, 5)  # two true cameras at one place
 
 
+@pytest.mark.parametrize("scale", [1e-12, 1e12])
+def test_the_scale_of_an_estimate_has_no_say_in_the_errors_of_its_pairs(scale):
+    true, found = orbit(4).numpy(), noisy(orbit(4), 4.0, 0.1, np.random.default_rng(0)).numpy()
+    wanted = pair_errors(found, true, range(4))
+    found[:, :3, 3] *= scale
+    for errors, want in zip(pair_errors(found, true, range(4)), wanted, strict=True):
+        assert len(errors) == 6
+        np.testing.assert_allclose(errors, want, rtol=1e-6)
+
+
 @pytest.mark.parametrize(
     ("errors", "wanted"), [([0.0, 0.0], 1.0), ([5.0, 9.0], 0.0), ([1.0, 4.0, math.inf], (0.8 + 0.2) / 3), ([2.5], 0.5)]
 )

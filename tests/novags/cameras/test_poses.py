@@ -312,11 +312,13 @@ def test_the_scene_is_called_as_its_folder_is_dots_and_all(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize(("count", "model"), [(MANY, "OPENCV"), (MANY - 1, "SIMPLE_RADIAL")])
+@pytest.mark.parametrize("place", [0, MANY])
 def test_a_lens_of_many_pictures_has_all_its_parameters_and_starts_as_stated(
-    count: int, model: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    count: int, model: str, place: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The picture of another lens comes first."""
-    shots = [Shot("other.png", 1, None), *(Shot(f"{i}.png", 0, 50.0) for i in range(count))]
+    """The picture of another lens comes first or last."""
+    shots = [Shot(f"{i}.png", 0, 50.0) for i in range(count)]
+    shots.insert(place, Shot("other.png", 1, None))
     for shot in shots:
         Image.new("L", (40, 30)).save(tmp_path / shot.name)
     lenses = []
@@ -327,13 +329,13 @@ def test_a_lens_of_many_pictures_has_all_its_parameters_and_starts_as_stated(
     )  # fmt: skip
     monkeypatch.setattr(registration, "detect", lambda *given: 7 if given[2] == "other.png" else 8)
     registration._detect(fake, tmp_path / "d", tmp_path, shots, None, lambda *_: None)
-    new = [(name, reader) for name, reader in lenses if hasattr(reader, "camera_model")]
-    assert [(name, reader.camera_model) for name, reader in new] == [("other.png", "SIMPLE_RADIAL"), ("0.png", model)]
-    assert not hasattr(new[0][1], "camera_params")
+    new = {name: reader for name, reader in lenses if hasattr(reader, "camera_model")}
+    assert {name: reader.camera_model for name, reader in new.items()} == {"other.png": "SIMPLE_RADIAL", "0.png": model}
+    assert not hasattr(new["other.png"], "camera_params")
     focal = [50, 50] if model == "OPENCV" else [50]
-    stated = [float(value) for value in new[1][1].camera_params.split(",")]
+    stated = [float(value) for value in new["0.png"].camera_params.split(",")]
     assert stated == [*focal, 20, 15, *[0] * (4 if len(focal) == 2 else 1)]
-    assert {reader.existing_camera_id for _, reader in lenses[2:]} == {8}
+    assert {reader.existing_camera_id for name, reader in lenses if name not in new} == {8}
 
 
 def test_the_global_mapper_finds_the_same_cameras_and_lens(taken, tmp_path: Path) -> None:

@@ -76,6 +76,21 @@ def test_the_seed_reaches_matches_cameras_and_the_choice_of_points(scene, estima
     assert apart.median() > 0.1  # the same pixels would give the same points within 0.02
 
 
+def test_the_seed_reaches_the_global_mapper(monkeypatch):
+    given = list[int]()
+
+    def mapped(database, pictures, out, options):
+        given.append(options.random_seed)
+        return {}
+
+    monkeypatch.setattr(pycolmap, "global_mapping", mapped)
+    blank, Ks = np.zeros((2, 64, 64, 3), np.uint8), np.array([[60.0, 0, 32], [0, 60, 32], [0, 0, 1]])[None].repeat(2, 0)
+    for seed in (7, 8):
+        with pytest.raises(ValueError, match="registered 0 of 2 views"):
+            structure_from_motion(blank, Ks, as_dark(blank), n_points=50, config=SfmConfig(mapper="global"), seed=seed)
+    assert given == [7, 8]
+
+
 def test_each_view_has_its_own_intrinsics(scene):
     """The third picture is cut out of a larger one: its principal point lies 12 px to the left and 8 px lower."""
     pictures, Ks = scene.pictures.copy(), scene.rig.Ks.copy()

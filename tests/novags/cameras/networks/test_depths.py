@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from novags.cameras.networks.dense import Window
+from novags.cameras.networks.dense import Window, prepare
 from novags.cameras.networks.depths import NetworkAnswer, estimate_of, told
 from simscenes.rigs import Rig, orbit_rig
 
@@ -52,11 +53,34 @@ def test_two_cameras_are_one_apart_and_cameras_at_one_place_are_refused():
         told("da3", "cameras", replace(RIG, viewmats=turned), WINDOW)
 
 
-@pytest.mark.parametrize("known", ["nothing", "cameras"])
+def test_each_pixel_that_a_network_sees_leads_back_to_its_place_in_its_own_picture():
+    """Three pictures, twice as wide and four times as high by repeated pixels, of which a part is kept."""
+    pictures = np.random.default_rng(0).integers(0, 256, (3, 30, 40, 3), np.uint8)
+    prepared, window = prepare(pictures, (80, 120), (74, 115), (3, 2), Image.Resampling.NEAREST)
+    x, y = np.meshgrid(np.arange(74) + 0.5, np.arange(115) + 0.5)
+    column, row = np.moveaxis(window.original(np.stack([x, y], -1)).astype(int), -1, 0)
+    seen = (255 * prepared).round().byte().movedim(1, -1).numpy()
+    np.testing.assert_array_equal(seen, pictures[:, row, column])
+
+
+def test_the_seed_chooses_the_pixels_that_become_points(corner):
+    scene = corner(2, 40, 30)
+    found = NetworkAnswer(scene.rig.viewmats, scene.rig.Ks, scene.depths, np.ones(scene.depths.shape))
+    window, dark = Window(np.ones(2), np.zeros(2), 40, 30), torch.zeros(2, 30, 40, 3)
+    one, again, *others = (
+        estimate_of("da3", found, window, dark, n_points=50, drop_percent=0.0, seed=seed).points
+        for seed in (3, 3, 1, 0)
+    )
+    assert torch.equal(one, again)
+    assert not any(torch.equal(one, other) for other in others)
+
+
+@pytest.mark.parametrize("known", ["nothing", "lenses", "cameras"])
 def test_points_come_from_depths_alone_whatever_lies_behind_a_masked_pixel(corner, known):
     """Expectation: half the pixels are without depth, in one of four ways; the others lie on the surface.
 
-    A network that is wrong by half a degree about cameras that it was told leaves them and its depths as they are.
+    A network that is wrong by half a degree about cameras that it was told leaves them and its depths as they are. One
+    that was told the lenses alone has cameras of its own.
     """
     scene = corner(4, 40, 30)
     g = np.random.default_rng(0)
@@ -69,7 +93,9 @@ def test_points_come_from_depths_alone_whatever_lies_behind_a_masked_pixel(corne
     window = Window(np.ones(2), np.zeros(2), 40, 30)
     got = estimate_of("da3", found, window, torch.zeros(4, 30, 40, 3), n_points=500, drop_percent=0.0, seed=0,
                       known=known, cameras=scene.rig)  # fmt: skip
-    if known == "nothing":
+    np.testing.assert_array_equal(got.Ks.numpy(), scene.rig.Ks)
+    if known != "cameras":
+        np.testing.assert_array_equal(got.viewmats.numpy(), viewmats)
         assert scene.distance((got.points.double().numpy() - [1.0, 2.0, 3.0]) / 3).max() < 1e-6
         return
     np.testing.assert_array_equal(got.viewmats.numpy(), scene.rig.viewmats)

@@ -40,6 +40,7 @@ class StandIn(torch.nn.Module):
     said: dict[str, Any] = {}
     told_as: Any = None
     asked: list[set[str]] = []
+    drawn: list[torch.Tensor] = []
     broken = False
 
     def __init__(
@@ -68,7 +69,7 @@ class StandIn(torch.nn.Module):
     ) -> list[dict[str, torch.Tensor]]:  # fmt: skip
         assert (use_amp, minibatch_size, apply_mask, mask_edges) == (False, 1, True, True)
         assert not self.training
-        torch.rand(3)  # as it does, to decide what is certain
+        self.drawn.append(torch.rand(3))  # as it does, to decide what is certain
         torch.testing.assert_close(self.weight.detach(), torch.tensor([1.0, 2.0]))
         told, shape = self.answer, self.answer.depths.shape
         assert len(views) == shape[0]
@@ -102,6 +103,7 @@ def package(installed, tmp_path, monkeypatch, told_as):
     save_file({"weight": torch.tensor([1.0, 2.0]), "unused": torch.zeros(1)}, tmp_path / "model.safetensors")
     (tmp_path / "config.json").write_text(json.dumps(CONFIG))
     monkeypatch.setattr(StandIn, "asked", [])
+    monkeypatch.setattr(StandIn, "drawn", [])
     monkeypatch.setattr(StandIn, "told_as", staticmethod(told_as))
     return tmp_path / "model.safetensors"
 
@@ -235,6 +237,9 @@ def test_masked_and_doubtful_depths_give_no_points_and_the_seed_chooses(shown):
     assert scene.distance(one.points.numpy()).max() < 1e-5
     assert torch.equal(one.points, two.points)
     assert not torch.equal(one.points, other.points)
+    mine, again, others = StandIn.drawn  # the network's own draws follow the seed as well
+    assert torch.equal(mine, again)
+    assert not torch.equal(mine, others)
     StandIn.said["depth_z"] = 0 * StandIn.said["depth_z"]
     with pytest.raises(ValueError, match="no positive depth"):
         found(scene, config)

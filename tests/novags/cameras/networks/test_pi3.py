@@ -27,6 +27,7 @@ class Answering(torch.nn.Module):
     said: dict[str, torch.Tensor] = {}
     told_as: Any = None
     asked: list[set[str]] = []
+    drawn: list[torch.Tensor] = []
 
     def __init__(self) -> None:
         super().__init__()
@@ -68,7 +69,7 @@ class Pi3X(Answering):
         assert (depths, rays, with_prior, mask_add_depth, mask_add_ray, mask_add_pose) == (None, None, True) + 3 * (
             None,
         )
-        torch.rand(3)  # as it does, to decide what is certain
+        self.drawn.append(torch.rand(3))  # as it does, to decide what is certain
         told = {name for name, value in (("intrinsics", intrinsics), ("poses", poses)) if value is not None}
         assert self.use_multimodal == bool(told)
         self.asked.append(told)
@@ -89,6 +90,7 @@ def package(installed, tmp_path, monkeypatch, told_as):
     save_file(weights, tmp_path / "pi3.safetensors")
     save_file(weights | {"metric_token": torch.ones(1), "ray_embed": torch.ones(1)}, tmp_path / "pi3x.safetensors")
     monkeypatch.setattr(Answering, "asked", [])
+    monkeypatch.setattr(Answering, "drawn", [])
     monkeypatch.setattr(Answering, "told_as", staticmethod(told_as))
     return tmp_path
 
@@ -215,6 +217,9 @@ def test_doubtful_points_give_none_and_the_seed_chooses(shown):
     assert scene.distance(one.points.numpy()).max() < 1e-5
     assert torch.equal(one.points, two.points)
     assert not torch.equal(one.points, other.points)
+    mine, again, others = Answering.drawn  # the network's own draws follow the seed as well
+    assert torch.equal(mine, again)
+    assert not torch.equal(mine, others)
 
 
 def test_what_is_missing_is_said_in_one_line_with_licence_and_place(shown, package, monkeypatch):
