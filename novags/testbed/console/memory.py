@@ -9,6 +9,7 @@ from pathlib import Path
 
 from novags.testbed.console.groups import levels
 
+MEMINFO = Path("/proc/meminfo")
 # Messages of libraries without an exception class for lack of memory. The system's own words count in any error; the
 # words of torch, OpenCV and Dr.Jit count only in an error that a library raises.
 _SYSTEM = re.compile(r"cannot allocate memory|can't allocate memory|failed to map segment", re.I)
@@ -57,7 +58,7 @@ def available_bytes() -> int:
     Linux says both; elsewhere it is the whole memory, which is an upper bound.
     """
     try:
-        lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
+        lines = MEMINFO.read_text(encoding="ascii").splitlines()
         free = next(int(line.split()[1]) * 1024 for line in lines if line.startswith("MemAvailable"))
     except (OSError, StopIteration):
         return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")

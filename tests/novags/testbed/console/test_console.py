@@ -86,3 +86,4 @@ def test_errors_show_control_characters_escaped(
 def test_all_losses_of_a_step_are_told_but_for_counters_and_norms() -> None:
     losses = {"iteration": 3, "l1": 0.5, "norm_means": 1.0, "dssim": 0.25, "n_gaussians": 9, "depth": 2.0}
     assert losses_text(losses) == "l1 0.5000  dssim 0.2500  depth 2.0000"
+    assert losses_text({"l1": 0.5, "dssim": 0.25}) == "l1 0.5000  dssim 0.2500"

@@ -53,6 +53,23 @@ def test_the_memory_is_what_the_lowest_limit_leaves(what: str, tmp_path: Path, m
     assert found == left * MB if left is not None else found > 50 * MB
 
 
+@pytest.mark.parametrize("place", range(3))
+def test_the_system_and_its_groups_may_list_their_memory_in_any_order(
+    place: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def put_among(others: list[str], line: str) -> str:
+        return "\n".join([*others[:place], line, *others[place:]]) + "\n"
+
+    files = memory("job/", str(50 * MB))
+    files["job/memory.stat"] = put_among(["anon 5", "file 6"], f"inactive_file {4 * MB}")
+    put(files, "0::/job\n", tmp_path, monkeypatch)
+    monkeypatch.setattr("novags.testbed.console.memory.MEMINFO", tmp_path / "meminfo")
+    for free, left in ((90, 44), (30, 30)):
+        text = put_among(["MemTotal: 7 kB", "MemFree: 8 kB"], f"MemAvailable: {free * MB // 1024} kB")
+        (tmp_path / "meminfo").write_text(text)
+        assert available_bytes() == left * MB
+
+
 @pytest.mark.parametrize(
     ("member", "files", "count"),
     [

@@ -87,6 +87,10 @@ WRONG = {
     "rig": (f"{FILE}rig='a'\n[rig.a]\niterations=3", "[rig.a] iterations: it belongs to reconstructions"),
     "variant": (f"{FILE}[variant.a]\nmethod='naive'", "[variant]: a data set has no methods"),
     "photographs": (FILE.replace('"cornell"', '"photos"'), "a data set is of rendered scenes"),
+    "photographs first": (
+        FILE.replace("tabletop:2..4", "photos").replace("[5, 20]", "[5]"),
+        "scene photos, electrons 5, seed 0: a data set is of rendered scenes",
+    ),
     "range": (FILE.replace("2..4", "4..2"), "[grid] scene: 'tabletop:4..2' must be NAME:FIRST..LAST"),
     "scene twice": (FILE.replace('"cornell"', '"tabletop:04"'), "'tabletop:4' is listed twice, also as 'tabletop:04'"),
     "scene of a split": (f"{FILE}[dataset.split]\ntrain = 1\ntest = ['attic']", "test: no scene 'attic'"),

@@ -19,11 +19,13 @@ def test_every_entry_counts_once_and_shards_hold_the_set_of_every_capture_again(
     shard_mb: float | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     tasks = {key: SimpleNamespace(key=key, needs=NEEDS.get(key, ())) for key in DISK}
-    plan: Any = SimpleNamespace(tasks=tasks, ends=("c0", "c1", "c2"), study=SimpleNamespace(cells=()))
+    cells = [SimpleNamespace(preset=megabytes) for megabytes in (1, 2, 4)]
+    plan: Any = SimpleNamespace(tasks=tasks, ends=("c0", "c1", "c2"), study=SimpleNamespace(cells=cells))
     predicted = SimpleNamespace(predicted=lambda task: SimpleNamespace(disk=DISK[task.key]))
     monkeypatch.setattr(module.Costs, "of", lambda *_: predicted)
     monkeypatch.setattr(module, "costs", lambda store: [])
     monkeypatch.setattr(module.of_study, "forecast", lambda *_: "work")
+    monkeypatch.setattr(module, "size_of", lambda names, presets: 1e6 * sum(presets) * len(names))
     split = {"a": "train", "b": "test", "c": "train"}
     config = DatasetConfig(name="dark", licence="x", shard_mb=shard_mb)
     engine: Any = SimpleNamespace(threads={})
@@ -34,6 +36,5 @@ def test_every_entry_counts_once_and_shards_hold_the_set_of_every_capture_again(
     assert [line.split()[0] for line in found.splitlines()[3:]] == ["train", "test"]
     assert "2 scenes: a, c" in found
     assert ("(links, and shards)" if beside else "(links)") in found
-    monkeypatch.setattr(module, "size_of", lambda names, _: 5e6 * len(names))
     found = module.forecast(plan, replace(config, recipes=("denoiser", "dark3r")), split, tmp_path, tmp_path, engine)
-    assert f"it takes {beside + 10:.1f} MB (links, and {'shards, ' * bool(beside)}denoiser, dark3r)" in found
+    assert f"it takes {beside + 14:.1f} MB (links, and {'shards, ' * bool(beside)}denoiser, dark3r)" in found

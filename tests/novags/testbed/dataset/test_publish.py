@@ -1,6 +1,7 @@
 """Claims about the entries of a data set and the rows of its index."""
 
 import csv
+import json
 from itertools import pairwise
 from typing import Any
 
@@ -22,8 +23,9 @@ def test_every_capture_has_its_scene_its_split_and_its_values(finished: Any) -> 
 def test_all_effects_that_are_in_and_all_that_are_not_are_told() -> None:
     effects = [{"name": name, "on": on, "reason": f"as {name}"} for name, on in
                (("a", True), ("b", False), ("c", True), ("d", False))]  # fmt: skip
-    found = simulated({"effects": effects, "bound": 0.5, "unit": "DN"})
-    assert found == {"on": ["a", "c"], "off": {"b": "as b", "d": "as d"}, "bound": 0.5, "unit": "DN"}
+    for given, on in ((effects, ["a", "c"]), (effects[::-1], ["c", "a"])):
+        found = simulated({"effects": given, "bound": 0.5, "unit": "DN"})
+        assert found == {"on": on, "off": {"b": "as b", "d": "as d"}, "bound": 0.5, "unit": "DN"}
     assert simulated(None) == {"on": "all", "off": {}}
 
 
@@ -39,6 +41,9 @@ def test_each_view_of_each_capture_has_a_row_with_files_that_are_there(finished:
     named = [row[kind] for row in rows for kind in ("dark", "dark16", "raw", "truth", "lit", "gt")]
     assert all((finished.out / name).is_file() for name in named)
     assert len(set(named)) == 9 * 4 + 6 * 2  # two captures share the set of their scene
+    for split in ("train", "val"):
+        lines = (finished.out / split / "metadata.jsonl").read_text().splitlines()
+        assert [json.loads(line)["raw"] for line in lines] == [row["raw"] for row in rows if row["split"] == split]
 
 
 def test_the_cameras_of_a_row_are_those_of_its_view(finished: Any) -> None:
@@ -46,3 +51,5 @@ def test_the_cameras_of_a_row_are_those_of_its_view(finished: Any) -> None:
     views = list(views_of(entries, finished.out))
     assert [view.cameras.names[view.i] for view in views] == [view.row["view"] for view in views]
     assert [view.row["scene"] for view in views] == ["tabletop:1"] * 6 + ["cornell"] * 3
+    backwards = views_of(entries[::-1], finished.out)  # captures before their sets
+    assert [view.row["scene"] for view in backwards] == ["cornell"] * 3 + ["tabletop:1"] * 6

@@ -57,6 +57,7 @@ def test_the_bright_exposure_is_the_brightest_and_black_is_kept_on_both_sides(mo
             assert np.array_equal(arrays["dark"][k], half_size(level.capture.raw(i), "RGGB"))
         assert arrays["electrons"].tolist() == [1, 20]
         assert arrays["bright_electrons"] == 2000
+        assert (arrays["black"], arrays["white"]) == (512, brightest.sensor.white_dn)
         assert arrays["snr_db"] == pytest.approx([darkest.snr_db, middle.snr_db])
         assert arrays["bright_snr_db"] == pytest.approx(brightest.snr_db)
         below = np.mean(arrays["dark"][0] < arrays["black"])
