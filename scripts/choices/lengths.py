@@ -34,7 +34,7 @@ from novags.testbed.study.results import read_scores
 HEADS = {"aligned_psnr": "aligned PSNR against the own noise-free reference, dB",
          "tone_aligned_psnr": "tone-aligned PSNR against the well-lit render, dB"}  # fmt: skip
 MORE = (
-    ("enhanced", "aligned_ssim", "SSIM", 3),
+    ("enhanced", "aligned_ssim", "SSIM aligned", 3),
     ("enhanced", "st_lpips", "ST-LPIPS", 3),
     ("enhanced", "flip", "FLIP", 3),
 )
@@ -64,9 +64,17 @@ def fits_of(folder: Path, only: Mapping[str, str]) -> tuple[list[Fit], int]:
     """The finished runs of a study with these values of its axes, and how many it has of them in all.
 
     Raises:
-        SystemExit: If the study has no such axis, or no such value.
+        SystemExit: If the study has no such axis or value, or has another axis with several values.
     """
-    rows = json.loads((folder / "results.json").read_text(encoding="utf-8"))["rows"]
+    table = json.loads((folder / "results.json").read_text(encoding="utf-8"))
+    rows = table["rows"]
+    for axis in table["axes"]:
+        if (
+            axis not in ("method", "scene", "seed", *only)
+            and len(values := {str(row[axis]) for row in rows if axis in row}) > 1
+        ):
+            raise SystemExit(f"lengths.py: {folder} has several values of {axis}: name one by --only "
+                             f"{axis}={sorted(values)[0]}")  # fmt: skip
     for axis, value in only.items():
         there = [str(row[axis]) for row in rows if axis in row]
         if value not in there:

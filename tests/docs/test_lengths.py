@@ -46,7 +46,7 @@ def study(folder: Path, runs: list[tuple[str, str, int, float]]) -> Path:
         (run / "run.json").write_text(json.dumps({"enhancement": {"enhancer": "e", "config": {"a": 1}}}), "utf-8")
         rows.append({"state": "done", "method": method, "scene": scene, "seed": seed, "folder": run.name})
     rows.append({"state": "failed", "method": "nova", "scene": "a:1", "seed": 9, "folder": "none"})
-    (folder / "results.json").write_text(json.dumps({"rows": rows}), "utf-8")
+    (folder / "results.json").write_text(json.dumps({"axes": {}, "rows": rows}), "utf-8")
     return folder
 
 
@@ -88,13 +88,16 @@ def test_of_an_axis_one_value_can_be_taken_and_another_is_refused(lengths, monke
     rows = json.loads((folder / "results.json").read_text("utf-8"))["rows"]
     for row in rows:
         row |= {"electrons": 20 if row["scene"] == "a:1" else 5, "sensor": "x"}
-    (folder / "results.json").write_text(json.dumps({"rows": rows}), "utf-8")
+    axes = dict.fromkeys(("method", "scene", "seed", "electrons", "sensor"), [])
+    (folder / "results.json").write_text(json.dumps({"axes": axes, "rows": rows}), "utf-8")
     monkeypatch.setattr(sys.modules[__name__], "PAGE", PAGE.replace("table: s", "table: s-5-x"))
     found = tables(lengths, monkeypatch, page, folder, "--only", "electrons=5", "sensor=x")
     assert "2 of 2 runs" in found
     assert "+2.50" in found  # of b:1 alone
     with pytest.raises(SystemExit, match=r"no run of .* has electrons=7: 20, 5"):
         tables(lengths, monkeypatch, page, folder, "--only", "electrons=7")
+    with pytest.raises(SystemExit, match="has several values of electrons: name one by --only electrons=20"):
+        tables(lengths, monkeypatch, page, folder, "--only", "sensor=x")
 
 
 def test_the_own_stop_loses_what_the_best_length_is_above_it(lengths, monkeypatch, tmp_path):

@@ -135,17 +135,18 @@ def difference(one: Values, other: Values) -> Estimate | None:
 
 
 def share(one: Values, floor: Values, ceiling: Values, least: float = 0.0) -> Estimate | None:
-    """(one - floor) / (ceiling - floor), by means, with the error of this ratio (delta method).
+    """(one - floor) / (ceiling - floor), by means over what all three have, with the ratio's error (delta method).
 
     None where the span is below `ERRORS` of its standard errors, is not seen, or is not above `least`: a ratio of two
     scatters says nothing.
     """
-    gain, span = paired(one, floor), paired(ceiling, floor)
-    known = estimate({key: value for key, value in span.items() if key in gain})
-    if known is None or not is_span(known, least) or (won := estimate(gain)) is None:
+    span = {key: value for key, value in paired(ceiling, floor).items() if key in one and isfinite(one[key])}
+    gain = {key: one[key] - floor[key] for key in span}
+    known, won = estimate(span), estimate(gain)
+    if known is None or won is None or not is_span(known, least):
         return None
     ratio = won.value / known.value
-    rest = estimate({key: value - ratio * span[key] for key, value in gain.items() if key in span})
+    rest = estimate({key: value - ratio * span[key] for key, value in gain.items()})
     if rest is None or rest.error is None:
         return None
     return Estimate(ratio, rest.error / known.value, rest.freedom, rest.over, rest.scenes, rest.seeds, rest.views)
@@ -159,30 +160,58 @@ def is_span(span: Estimate, least: float = 0.0) -> bool:
 def places(values: Mapping[str, Values], more: bool, digits: int) -> dict[str, int]:
     """The place of each: 1 and how many are seen to be better; those that are not seen to differ share it.
 
-    Numbers that are printed alike differ by nothing. Where nothing repeats, as in counts and costs, the printed numbers
-    decide.
+    Two are compared by the values that both have, whatever else either has. Means that are printed alike differ by
+    nothing. Where nothing repeats, as in counts and costs, the one pair of values decides.
 
     Args:
         values: The scores of each.
         more: Whether more is better.
         digits: After the point, as they are printed.
     """
-    means = {name: fmean(own.values()) for name, own in values.items() if own}  # of scores that may be infinite
+    means = {name: _mean(own) for name, own in values.items() if own}
 
     def is_better(one: str, other: str) -> bool:
-        a, b = means[one], means[other]
-        if round(a, digits) == round(b, digits) or (a > b) != more:
-            return False
-        apart = difference(values[one], values[other])
-        return apart is None or apart.error is None or apart.seen
+        alike = round(means[one], digits) == round(means[other], digits)
+        found = None if alike else _lead(values[one], values[other], more)
+        return found is not None and found[0] > 0 and found[1]
 
     return {name: 1 + sum(is_better(other, name) for other in means) for name in means}
 
 
-def smallest_seen(scenes: int, seeds: int, views: int, scatter: "Scatter") -> float | None:
-    """The difference that a study of so many sees with a probability of about `POWER`; None where nothing repeats.
+def order(values: Mapping[str, Values], more: bool) -> list[str]:
+    """Names, best first: by how many of the others each is ahead of, by the values that both have; then by its mean.
 
-    (t of the interval + t of the power) times the standard error that the scatter gives.
+    Of values that all have alike, it is the order of the means.
+    """
+    means = {name: _mean(own) * (1 if more else -1) for name, own in values.items() if own}
+    ahead = {name: sum((found := _lead(values[name], values[other], more)) is not None and found[0] > 0
+                       for other in means) for name in means}  # fmt: skip
+    return sorted(means, key=lambda name: (-ahead[name], -means[name]))
+
+
+def _mean(values: Values) -> float:
+    """As it is printed; infinite if a score is."""
+    found = estimate(values) if all(map(isfinite, values.values())) else None
+    return fmean(values.values()) if found is None else found.value
+
+
+def _lead(one: Values, other: Values, more: bool) -> tuple[float, bool] | None:
+    """How much better `one` is, and whether that is seen; None where both have no value in common."""
+    common = paired(one, other)
+    if not common:
+        return None
+    sign, apart = 1 if more else -1, estimate(common)
+    if apart is None:  # a score is infinite wherever both have one
+        a, b = (fmean(own[key] for key in common) for own in (one, other))
+        return (0.0 if a == b else sign * (a - b)), True
+    return sign * apart.value, apart.error is None or apart.seen
+
+
+def smallest_seen(scenes: int, seeds: int, views: int, scatter: "Scatter") -> float | None:
+    """The difference that a study of so many sees with the probability `POWER`; None where nothing repeats.
+
+    The standard error that the scatter gives, times the shift at which Student's t passes the end of the interval so
+    often (noncentral t).
     """
     within = scatter.seeds**2 / seeds + scatter.views**2 / (seeds * views)
     if scenes > 1:
@@ -191,7 +220,16 @@ def smallest_seen(scenes: int, seeds: int, views: int, scatter: "Scatter") -> fl
         variance, freedom = within, (seeds if views == 1 else views) - 1
     else:
         return None
-    return (quantile(freedom) + quantile(freedom, 2 * POWER - 1)) * sqrt(variance)
+    return shift_seen(freedom) * sqrt(variance)
+
+
+def shift_seen(freedom: float) -> float:
+    """The true difference, in standard errors, that is seen with the probability `POWER`."""
+    from scipy.optimize import brentq
+    from scipy.stats import nct
+
+    end = quantile(freedom)
+    return float(brentq(lambda shift: nct.sf(end, freedom, shift) - POWER, 0.0, 4 * end))
 
 
 @dataclass(frozen=True)

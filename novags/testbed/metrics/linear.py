@@ -66,16 +66,17 @@ def linear_scores(
 
     With the two `halves` of a rendered truth: without its noise, and with the standard error, as `image_scores`.
     """
-    if gain is None or is_black(reference):
-        found = None
-    elif halves is None:
-        found = linear_psnr(image, reference, gain)
-    else:
+    known = gain is not None and not is_black(reference)
+    if halves is None:
+        return {"linear_psnr": linear_psnr(image, reference, gain) if known and gain is not None else None}
+    pair = [np.clip(light, 0.0, 1.0) for light in halves]
+    variance = variance_of(*pair)
+    found: tuple[float | None, float | None] = (None, None)
+    if known and gain is not None:
         check_pair(image, reference)
-        exposed, true, *pair = (np.clip(light, 0.0, 1.0) for light in (image * np.float32(gain), reference, *halves))
-        known = squared_error(exposed, true, variance_of(*pair))
-        return {**named("linear_psnr", known.decibels(PSNR_CEILING)), VARIANCE: float(variance_of(*pair).mean())}
-    return {"linear_psnr": found}
+        exposed, true = (np.clip(light, 0.0, 1.0) for light in (image * np.float32(gain), reference))
+        found = squared_error(exposed, true, variance).decibels(PSNR_CEILING)
+    return {**named("linear_psnr", found), VARIANCE: float(variance.mean())}
 
 
 def is_black(reference: Image, white: float = 1.0) -> bool:

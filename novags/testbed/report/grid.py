@@ -7,7 +7,7 @@ from statistics import fmean
 from typing import Any
 
 from novags.testbed.metrics import METRICS
-from novags.testbed.metrics.differences import Estimate, Values, difference, places
+from novags.testbed.metrics.differences import Estimate, Values, difference, order, places
 from novags.testbed.report.tables import is_plain, measured, spread_of
 from novags.testbed.report.words import join, signed
 from novags.testbed.stages.scores.comparing import SHARES, values_of
@@ -108,12 +108,13 @@ def lines_of(
         for line in members:
             line.alike = alike
         for column, _, _, more, digits in columns():
+            _made_alike([line.values for line in members], column)
             known = {line.method: line.values[column] for line in members
                      if column in line.values and competes[line.method] and (alike or column not in OWN)
                      and not (is_helped(column) and line.in_linear_light)}  # fmt: skip
             for name, rank in places(known, more, digits).items():
                 next(line for line in members if line.method == name).places[column] = rank
-        found += sorted(members, key=_main)
+        found += _best_first(members)
     return found
 
 
@@ -165,19 +166,20 @@ def _counted(count: int) -> str:
 
 
 def _overall(lines: Sequence[Line], main: str, competes: Mapping[str, bool]) -> str:
-    """Over the scenes of a study: how far the method with the largest mean is above each other one, where all else is
-    alike.
-    """
+    """Over the scenes of a study: how far the best method is above each other one, where all else is alike."""
     values = over_scenes(lines, main)
     said = []
     for place, methods in values.items():
         known = {name: own for name, own in methods.items() if competes[name]}
         if len({scene for own in known.values() for scene, _, _ in own}) < 2 or len(known) < 2:
             continue
-        best = max(known, key=lambda name: sum(known[name].values()) / len(known[name]))
-        apart = {name: found for name in known if name != best and (found := difference(known[best], known[name]))}
-        listed = [f"{_apart(found)} above {name}" for name, found in apart.items()]
-        where = next(iter(apart.values())).where
+        best, *others = order(known, True)
+        apart = {name: found for name in others if (found := difference(known[best], known[name]))}
+        if not apart:  # no scene has two of them yet
+            continue
+        where = max(apart.values(), key=lambda found: found.scenes).where
+        listed = [f"{_apart(found)} above {name}{'' if found.where == where else f' ({found.where})'}"
+                  for name, found in apart.items()]  # fmt: skip
         said.append(f" Over {where}{f' ({place})' if place else ''}, {best} is {join(listed)}.")
     return "".join(said)
 
@@ -248,7 +250,21 @@ def _value(row: Row, column: str) -> float | None:
     return None if value is None else value * SCALES.get(column, 1.0)
 
 
-def _main(line: Line) -> tuple[bool, float]:
-    order = MAIN if line.alike else MAIN[::-1]
-    found = next((line.spread[column][0] for column in order if column in line.spread), None)
-    return found is None, -(found or 0.0)
+def _made_alike(several: Sequence[dict[str, Values]], column: str) -> None:
+    """Where of some run the mean alone is known, let it be so of all: views and means have nothing in common."""
+    own = [values[column] for values in several if column in values]
+    if any(not view for each in own for _, _, view in each):
+        for values in several:
+            if column in values:
+                runs = dict[tuple[str, str], list[float]]()
+                for (scene, seed, _), value in values[column].items():
+                    runs.setdefault((scene, seed), []).append(value)
+                values[column] = {(*run, ""): fmean(found) for run, found in runs.items()}
+
+
+def _best_first(members: Sequence[Line]) -> list[Line]:
+    """The lines of one place by the score that decides; those without it last."""
+    main = MAIN if all(line.alike for line in members) else MAIN[::-1]
+    column = next((each for each in main if any(each in line.values for line in members)), "")
+    names = order({line.method: line.values[column] for line in members if column in line.values}, True)
+    return sorted(members, key=lambda line: names.index(line.method) if line.method in names else len(names))

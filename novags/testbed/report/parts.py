@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from markupsafe import Markup, escape
@@ -141,11 +142,15 @@ def text(value: Any, kind: str = "") -> TableCell:
 
 
 def num(
-    value: Any, shown: str | int = 2, *, rank: int | None = None, sd: float | None = None, best: bool = False
-) -> TableCell:
-    """A number, with the text that shows it or with so many digits."""
+    value: Any, shown: str | int = 2, *, rank: int | None = None, best: bool = False,
+    beside: Mapping[str, Any] = MappingProxyType({}),
+) -> TableCell:  # fmt: skip
+    """A number, with the text that shows it or with so many digits; `beside`: what a CSV has in columns of their own,
+    `sd`, `error` and `scenes` of tables.js, where they are not None.
+    """
     said = shown if isinstance(shown, str) else number(value, shown)
     kind = " best" if best else " muted" if value is None and said else ""
     told = f' class="num{kind}" data-value="{"" if value is None else escape(value)}"'
     told += "" if rank is None else f' data-rank="{rank}"'
-    return TableCell(said, Markup(told if sd is None else f'{told} data-sd="{sd}"'))
+    told += "".join(f' data-{name}="{escape(known)}"' for name, known in beside.items() if known is not None)
+    return TableCell(said, Markup(told))

@@ -17,7 +17,7 @@ from novags.testbed.folders.set import Source
 from novags.testbed.ledger.contents import read_json
 from novags.testbed.metrics.differences import Estimate
 from novags.testbed.report.rows import Row, main_row, rows_of
-from novags.testbed.stages.scores.comparing import deltas, recovered_shares
+from novags.testbed.stages.scores.comparing import deltas, enhancement_of, recovered_shares
 
 MAIN = {"enhanced": "aligned_psnr", "lit": "tone_aligned_psnr"}  # the score of each reference that runs are compared by
 
@@ -72,7 +72,7 @@ class Place:
         both.
         """
         methods = {name: run.method for name, run in self.runs.items()}
-        return deltas(self.metrics["methods"], methods, kind, MAIN[kind])
+        return deltas(self.metrics["methods"], methods, kind, MAIN[kind], enhancements_of(self.runs))
 
 
 def command_of(folder: Path) -> str | None:
@@ -117,6 +117,11 @@ def scene_of(lit: Source) -> str:
     return str(lit.views.meta.get("scene") or lit.views.path.name)
 
 
+def enhancements_of(runs: Mapping[str, Run]) -> dict[str, str]:
+    """What the noise-free reference of each run is enhanced by, to compare."""
+    return {name: enhancement_of(run.record) for name, run in runs.items()}
+
+
 def merged(runs: Mapping[str, Run]) -> dict[str, Any]:
     """The scores of runs of one capture, with the share of what noise costs that each recovers.
 
@@ -130,5 +135,6 @@ def merged(runs: Mapping[str, Run]) -> dict[str, Any]:
             raise ValueError(f"{run.path} is not scored: run novags score {quote(str(run.path))}")
         scores[name] = record["methods"][run.name]
         unavailable |= record["unavailable"]
-    shares, why = recovered_shares(scores, {name: run.method for name, run in runs.items()})
+    methods = {name: run.method for name, run in runs.items()}
+    shares, why = recovered_shares(scores, methods, enhancements_of(runs))
     return {"methods": scores, **shares, "unavailable": unavailable | why}

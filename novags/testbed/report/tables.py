@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from novags.testbed.metrics import METRICS
-from novags.testbed.metrics.differences import Values, places
+from novags.testbed.metrics.differences import Values, order, places
 from novags.testbed.metrics.truth import ERROR
 from sensor_model.files.reading import brief
 
@@ -73,19 +73,22 @@ def ranked(
     to be worse. `competes`: whether a row may be the best; other rows have no place. `placed`: (row, column) -> whether
     its value can be compared with the other rows'. `several`: (row, column) -> its values by view; None: one of each.
     """
-    ranks, rows = {}, []
+    ranks, rows, first = {}, [], list[str]()
     for key, _, _, more in shown:
         known = {name: found for name, row in values.items() if (found := measured(row.get(key))) is not None}
-        own = {name: (several and several(name, key)) or {("", "", ""): value} for name, value in known.items()
-               if competes[name] and placed(name, key)}  # fmt: skip
+        every: dict[str, Values] = {name: (several and several(name, key)) or {("", "", ""): value}
+                                    for name, value in known.items()}  # fmt: skip
+        own = {name: each for name, each in every.items() if competes[name] and placed(name, key)}
         ranks[key] = places(own, more, digits(key))
+        if key == shown[0][0]:
+            first = order(every, more)
     for name, row in values.items():
         own_ranks = {key: ranks[key].get(name) for key, *_ in shown}
         cells = [{"key": key, "value": row.get(key), "rank": rank, "error": measured(row.get(f"{key}{ERROR}")),
                   "best": rank == 1 and max(ranks[key].values()) > 1} for key, rank in own_ranks.items()]  # fmt: skip
         rows.append({"method": name, "competes": competes[name], "cells": cells})
-    key, _, _, more = shown[0]
-    return sorted(rows, key=lambda row: _order(measured(values[row["method"]].get(key)), more))
+    last = len(first)  # rows without a value
+    return sorted(rows, key=lambda row: first.index(row["method"]) if row["method"] in first else last)
 
 
 def measured(value: float | str | None) -> float | None:
@@ -99,10 +102,6 @@ def measured(value: float | str | None) -> float | None:
     except ValueError as error:
         raise ValueError(f"a score must be a number, got {brief(repr(value))}: score again") from error
     return None if math.isnan(number) else number
-
-
-def _order(value: float | None, more: bool) -> tuple[bool, float]:
-    return (value is None, 0.0 if value is None else -value if more else value)
 
 
 def per_view(metrics: Mapping[str, Any], kind: str) -> dict[str, Any] | None:

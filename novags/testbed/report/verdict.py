@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from novags.testbed.console.terminal import Console
-from novags.testbed.metrics.differences import Estimate, Values, difference
+from novags.testbed.metrics.differences import Estimate, Values, difference, order
 from novags.testbed.report.place import Place, places_in
 from novags.testbed.report.tables import GIVEN, OWN, columns, is_plain, measured, ranked, scores_of
 from novags.testbed.report.words import join, share, signed
@@ -127,17 +127,21 @@ def _by(gain: Estimate, other: str) -> str:
 
 
 def limits(place: Place) -> str:
-    """That the fit limits here and not the noise, where a method without noise wins no more than its error; else ""."""
+    """That the fit limits here and not the noise, where a method without noise wins no more than other rates would; or
+    that the views cannot tell; else "".
+    """
     floor, ceiling, found = place.bound("floor"), place.bound("ceiling"), leading(place)
     if floor is None or ceiling is None or found is None:
         return ""
-    if (span := _above(place, ceiling, floor)) is None or gains(span):
+    if (span := _above(place, ceiling, floor)) is None or (gain := gains(span)):
         return ""
     error = "" if span.error is None else f" ± {span.error:.2f}"
+    told = f"{ceiling}, which sees no noise, is {signed(span.value)}{error} dB from {floor} ({span.where})"
+    if gain is None:
+        return f" Whether noise or the fit limits is not known: {told}. More held-out views or seeds would tell."
     return (
-        f" The fit limits here, not the noise: {ceiling}, which sees no noise, is {signed(span.value)}{error} dB from "
-        f"{floor} ({span.where}), so that no method can show its gain. Take cameras that are right, more views, points "
-        "or iterations, or less light."
+        f" The fit limits here, not the noise: {told}, so that no method can show its gain. Take cameras that are "
+        "right, more views, points or iterations, or less light."
     )
 
 
@@ -150,7 +154,10 @@ def leader(place: Place) -> str:
     """The run with the best main score among the runs that see no truth; the main run where none has a score."""
     value = _values(place)
     scored = [name for name, row in place.rows.items() if row.competes and value[name] is not None]
-    return max(scored, key=lambda name: value[name] or 0.0, default=place.main)
+    if (found := leading(place)) is None or not scored:
+        return place.main
+    kind, number, _ = found
+    return order({name: values_of(place.metrics["methods"][name], kind, number) for name in scored}, True)[0]
 
 
 def compared(place: Place) -> tuple[str, str]:
@@ -172,8 +179,10 @@ def _dissent(place: Place, kind: str, main_score: str, best: str) -> str:
             ranks = {row["method"]: cell["rank"] for row in rows for cell in row["cells"] if cell["key"] == key}
             marked = [name for name, rank in ranks.items() if rank == 1]
             if (where, key) != ("", main_score) and ranks.get(best) is not None and best not in marked:
-                leads.setdefault((where, marked[0]), []).append(heading)
+                one = len(marked) == 1
+                who = f"{join(marked)} come{'s' * one} first{', not seen to differ' * (not one)}"
+                leads.setdefault((where, who), []).append(heading)
     if not leads:
         return ""
-    said = (f"by {join(scores)}{where}: {name} comes first" for (where, name), scores in leads.items())
+    said = (f"by {join(scores)}{where}: {who}" for (where, who), scores in leads.items())
     return f" Not so {'; '.join(said)}."

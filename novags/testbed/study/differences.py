@@ -70,6 +70,7 @@ def _pairs(runs: Sequence[Finished]) -> Iterator[dict[str, Any]]:
         values = {name: _values(runs, name, kind, number) for name in methods}
         tones = {name: {run.enhancement for run in runs if run.place[METHOD] == name} for name in methods}
         known = [name for name in methods if values[name]]
+        known.sort(key=lambda name: name != ends.get("floor"))  # stable: all others are above the floor, if above
         for k, other in enumerate(known):
             for name in known[k + 1 :]:
                 # A noise-free reference is enhanced as its run is: of two enhancements there are two.
@@ -77,8 +78,10 @@ def _pairs(runs: Sequence[Finished]) -> Iterator[dict[str, Any]]:
                 if apart is None or (kind == "enhanced" and len(tones[name] | tones[other]) > 1):
                     continue
                 won = None
-                if other == ends.get("floor") and (ceiling := ends.get("ceiling")) in known and name != ceiling:
-                    won = share(values[name], values[other], values[str(ceiling)], NO_GAIN)
+                ceiling = str(ends.get("ceiling"))
+                alike = kind != "enhanced" or tones[name] == tones.get(ceiling)
+                if other == ends.get("floor") and ceiling in known and name != ceiling and alike:
+                    won = share(values[name], values[other], values[ceiling], NO_GAIN)
                 yield {"score": f"{kind}.{number}", METHOD: name, "than": other, **_numbers(apart, won)}
 
 

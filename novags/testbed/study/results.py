@@ -96,8 +96,7 @@ class StudyTable:
                 # A run of an earlier start may turn out to be damaged: nothing is kept before it is looked at.
                 with nullcontext() if looked_at else suppress(ValueError):
                     scores = self._whole(key) if looked_at else read_scores(folder)
-                    record = read_json(folder / RECORD) if (folder / RECORD).is_file() else {}
-                    found.append(Finished(cell.values, task.config.variant.method, scores, enhancement_of(record)))
+                    found.append(Finished(cell.values, task.config.variant.method, scores, _enhancement(folder)))
         return found
 
     def _scores_of(self, key: str) -> dict[str, Any]:
@@ -135,7 +134,9 @@ class StudyTable:
         for keys in groups.values():
             if len(keys) > 1:
                 methods = {name: self.plan.tasks[key].config.variant.method for name, key in keys.items()}
-                shares = _shares({name: self._whole(key) for name, key in keys.items()}, methods)
+                scores = {name: self._whole(key) for name, key in keys.items()}
+                tones = {name: _enhancement(self.plan.tasks[key].folder(self.store)) for name, key in keys.items()}
+                shares = _shares(scores, methods, tones)
                 found |= {keys[name]: own for name, own in shares.items()}
         return found
 
@@ -158,6 +159,7 @@ def rescored(out: Path) -> None:
     """
     table = read_json(out / TABLE, ROWS)
     scores, methods, finished = dict[str, dict[str, Any]](), dict[str, str](), list[Finished]()
+    tones = dict[str, str]()
     for row in table["rows"]:
         if row["state"] == "done":
             run = open_run(out / row["folder"])
@@ -165,8 +167,9 @@ def rescored(out: Path) -> None:
             if (own := run.scores()) is not None:
                 scores[row["method"]] = own
                 place = {name: row.get(name) for name in table["axes"]}
-                finished.append(Finished(place, run.method, own, enhancement_of(run.record)))
-    shares, columns = _shares(scores, methods), {name: flat_scores(own) for name, own in scores.items()}
+                tones[row["method"]] = enhancement_of(run.record)
+                finished.append(Finished(place, run.method, own, tones[row["method"]]))
+    shares, columns = _shares(scores, methods, tones), {name: flat_scores(own) for name, own in scores.items()}
     kept = ("run", *table["axes"], "state", "reason", "stage", "log", "folder")
     _write(out, table["axes"], [
         {**{name: row.get(name) for name in kept}, **shares.get(row["method"], {}), **columns.get(row["method"], {})}
@@ -182,10 +185,17 @@ def _write(out: Path, axes: Mapping[str, Any], rows: list[dict[str, Any]]) -> No
     write_json(out / TABLE, {"axes": axes, "columns": columns, "rows": rows})
 
 
-def _shares(scores: Mapping[str, Mapping[str, Any]], methods: Mapping[str, str]) -> dict[str, dict[str, float | None]]:
+def _enhancement(folder: Path) -> str:
+    """What the noise-free reference of the run in a folder is enhanced by, to compare."""
+    return enhancement_of(read_json(folder / RECORD) if (folder / RECORD).is_file() else {})
+
+
+def _shares(
+    scores: Mapping[str, Mapping[str, Any]], methods: Mapping[str, str], enhancements: Mapping[str, str]
+) -> dict[str, dict[str, float | None]]:
     """The recovered shares of runs of one place with their errors, by run, from their scores."""
     found = dict[str, dict[str, Any]]()
-    for column, values in recovered_shares(scores, methods)[0].items():
+    for column, values in recovered_shares(scores, methods, enhancements)[0].items():
         for run, share in values.items():
             found.setdefault(run, {})[column] = share
     return {run: with_errors(own) for run, own in found.items()}

@@ -91,7 +91,7 @@ def use_run(path: Path) -> None:
 
 def use_metrics(path: Path) -> None:
     scores = read_json(path, shapes.METRICS)["methods"]
-    recovered_shares(scores, dict.fromkeys(scores, "naive"))
+    recovered_shares(scores, dict.fromkeys(scores, "naive"), {})
 
 
 @pytest.mark.parametrize(

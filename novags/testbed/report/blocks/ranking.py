@@ -7,7 +7,7 @@ from typing import Any
 
 from markupsafe import Markup
 
-from novags.testbed.metrics.differences import Estimate, Values, estimate, places
+from novags.testbed.metrics.differences import Estimate, Values, estimate, order, places
 from novags.testbed.report.blocks.scores import PLUS_MINUS, placed, ranked_table
 from novags.testbed.report.charts import MARKS, Axis, Chart, Point, Series, few
 from novags.testbed.report.grid import CAPTURE, SCENE, Line, columns, main_column
@@ -17,11 +17,12 @@ from novags.testbed.report.place import Place
 from novags.testbed.report.rows import Row
 from novags.testbed.report.verdict import leading
 from novags.testbed.report.words import named, number, share, signed
+from novags.testbed.stages.scores.comparing import mean_values
 from novags.testbed.study.cells.grid import spelled
 from novags.testbed.study.light import ELECTRONS, SEED
 
 SECONDS = "seconds.reconstruct"
-FEWER = Markup("{} <small>({} of {} scenes)</small>")
+FEWER = Markup("{} <small>({} scenes)</small>")
 PANELS = 24  # small charts: of more places nobody compares all
 TALL, WIDE = 230, 420  # px of a chart; as wide as a telephone, so that its letters keep their size there
 
@@ -114,9 +115,11 @@ def _condition(line: Line, varied: Sequence[str]) -> str:
 def pivot_table(found: Pivot, material: Material) -> Table:
     """A row for each method, best first, and a column for each condition: the mean over its scenes with its error."""
     (first, *_), single = found.values, len(found.values) == 1
-    means = {name: fmean(fmean(own[name].values()) for own in found.values.values() if name in own)
-             for name in dict.fromkeys(name for own in found.values.values() for name in own)}  # fmt: skip
-    order = sorted(means, key=lambda name: -means[name] if found.more else means[name])
+    every: dict[str, dict[tuple[str, str, str], float]] = {}
+    for condition, own in found.values.items():
+        for name, each in own.items():
+            mine = every.setdefault(name, {})
+            mine |= {(condition + scene, seed, view): value for (scene, seed, view), value in each.items()}
     shown = [Column("#", kind="rank")] if single else []
     shown += [Column("Method")]
     if single:
@@ -127,7 +130,7 @@ def pivot_table(found: Pivot, material: Material) -> Table:
     by_scene = [_of_scene(found, material, scene) for scene in found.scenes] if found.of_scenes else []
     shown += [Column(scene, found.unit, "num", found.more) for scene in found.scenes] if found.of_scenes else []
     rows = []
-    for name in order:
+    for name in order(every, found.more):
         look = material.looks[name]
         cells: list[Any] = [TableCell(named(look))]
         cells += [_cell(own.get(name), found.ranked[condition], name, found.digits, len(found.scenes))
@@ -155,8 +158,10 @@ def _cell(values: Values | None, ranks: Mapping[str, int], name: str, digits: in
         return num(None, "")
     said, rank = number(known.value, digits), ranks.get(name)
     said = said if known.error is None else PLUS_MINUS.format(said, number(known.error, digits))
-    said = said if known.scenes >= scenes else FEWER.format(said, known.scenes, scenes)
-    return num(known.value, said, rank=rank, best=rank == 1 and max(ranks.values()) > 1)
+    fewer = "" if known.scenes >= scenes else f"{known.scenes} of {scenes}"
+    beside = {"error": known.error, "scenes": fewer or None}
+    said = FEWER.format(said, fewer) if fewer else said
+    return num(known.value, said, rank=rank, beside=beside, best=rank == 1 and max(ranks.values()) > 1)
 
 
 def _said(found: Pivot, material: Material) -> str:
@@ -177,8 +182,7 @@ def _chart_of_many(found: Pivot, material: Material) -> str:
         return _over_light(found, label, material)
     seconds = seconds_of(material)
     shared = [name for name in looks if all(name in own for own in found.values.values())]
-    whole = {name: {(condition + scene, seed, view): value for condition, own in found.values.items()
-                    for (scene, seed, view), value in own[name].items()} for name in shared}  # fmt: skip
+    whole = {name: mean_values([own[name] for own in found.values.values()]) for name in shared}
     points = {name: (seconds[name], known) for name, own in whole.items()
               if name in seconds and (known := estimate(own)) is not None}  # fmt: skip
     return over_time([(label, points)], looks)[0] if len(points) > 1 else ""

@@ -191,9 +191,8 @@ def _line(
         mean, sd = line.spread.get(column, (None, None))
         said, rank = _text(column, mean, places), line.places.get(column)
         said = said if sd is None else PLUS_MINUS.format(said, _text(column, sd, places))
-        cells.append(
-            num(mean, said, rank=rank, sd=sd, best=rank == 1 and any(each.get(column, 1) > 1 for each in near))
-        )
+        best = rank == 1 and any(each.get(column, 1) > 1 for each in near)
+        cells.append(num(mean, said, rank=rank, beside={"sd": sd}, best=best))
     return TableRow(cells, {"data-of": line.where, "data-command": "\n".join(commands) or None, "data-view": view,
                             "data-picture": view and f"render-{line.method}"})  # fmt: skip
 

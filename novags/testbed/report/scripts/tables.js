@@ -54,10 +54,11 @@ novags.tables = {
     const all = novags.rows.of(table), heads = [...table.tHead.rows[0].cells];
     const marked = all.some((row) => row.querySelector(".dagger"));
     const rows = [...all, ...(table.tFoot ? table.tFoot.rows : [])].filter((row) => !row.hidden);
-    const spread = heads.map((_, k) => rows.some((row) => "sd" in row.cells[k].dataset));  // mean ± standard deviation
+    const kinds = { sd: "standard deviation", error: "standard error", scenes: "scenes" };  // said beside a mean
+    const beside = heads.map((_, k) => Object.keys(kinds).filter((kind) => rows.some((row) => kind in row.cells[k].dataset)));
     const named = (cell) => (cell.classList.contains("rank") ? "place" : this.text(cell));
-    const told = heads.flatMap((cell, k) => [named(cell), ...(spread[k] ? [`${named(cell)}, standard deviation`] : [])]);
-    const line = (row) => [...row.cells].flatMap((cell, k) => [this.value(cell).replace("†", ""), ...(spread[k] ? [cell.dataset.sd ?? ""] : [])]);
+    const told = heads.flatMap((cell, k) => [named(cell), ...beside[k].map((kind) => `${named(cell)}, ${kinds[kind]}`)]);
+    const line = (row) => [...row.cells].flatMap((cell, k) => [this.value(cell).replace("†", ""), ...beside[k].map((kind) => cell.dataset[kind] ?? "")]);
     const lines = [[...told, ...(marked ? ["sees truth"] : [])]];
     for (const row of rows) lines.push([...line(row), ...(marked ? [row.querySelector(".dagger") ? "yes" : "no"] : [])]);
     return lines.map((cells) => cells.map(asText).map(quoted).join(",") + "\n").join("");

@@ -1,7 +1,8 @@
 """Runs of one capture compared view by view: gains over the floor, and shares of the cost of noise that each wins."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -51,7 +52,7 @@ def mean_values(several: list[Values]) -> Values:
 
 
 def recovered_shares(
-    scores: Mapping[str, Any], methods: Mapping[str, str]
+    scores: Mapping[str, Any], methods: Mapping[str, str], enhancements: Mapping[str, str]
 ) -> tuple[dict[str, dict[str, Estimate]], dict[str, str]]:
     """The share of the cost of noise that each run wins back: `recovered` and `recovered_lit`, by run; and why one is
     not known.
@@ -62,17 +63,22 @@ def recovered_shares(
     Args:
         scores: The scores of each run, by its name.
         methods: The method of each run, by its name.
+        enhancements: `enhancement_of` each run, by its name.
     """
     shares, unavailable = dict[str, dict[str, Estimate]](), dict[str, str]()
     for column, (kind, number) in SHARES.items():
-        shares[column], why = recovered_fractions(scores, methods, kind, number)
+        shares[column], why = recovered_fractions(scores, methods, kind, number, enhancements)
         if why is not None:
             unavailable[column] = why
     return shares, unavailable
 
 
 def recovered_fractions(
-    scores: Mapping[str, Any], methods: Mapping[str, str], kind: str = "enhanced", number: str = "aligned_psnr"
+    scores: Mapping[str, Any],
+    methods: Mapping[str, str],
+    kind: str = "enhanced",
+    number: str = "aligned_psnr",
+    enhancements: Mapping[str, str] = MappingProxyType({}),
 ) -> tuple[dict[str, Estimate], str | None]:
     """The share of the cost of noise that each run wins back, and the reason where it is unknown.
 
@@ -81,6 +87,8 @@ def recovered_fractions(
         methods: The method of each run, by its name.
         kind: The reference.
         number: The score.
+        enhancements: `enhancement_of` each run, by its name: where it is not the bounds', the noise-free references
+            differ and no share is known.
     """
     for needed, what in ((kind, f"the reference {kind}"), ("enhanced", "the noise-free exposure, the ceiling's,")):
         if all(method["mean"].get(needed, {}) is None for method in scores.values()):
@@ -100,11 +108,24 @@ def recovered_fractions(
     if span is None or not is_span(span, NO_GAIN):
         return {}, (
             f"{ends['ceiling'][0]} is {'' if span is None else said(span) + ' '}from {ends['floor'][0]}: no share is "
-            f"made of less than {NO_GAIN:g} dB, which rates and losses alone can make, or than three standard errors"
+            f"made of less than {NO_GAIN:g} dB, which rates and losses alone can make, of less than three standard "
+            "errors, or of a difference whose 95 % interval has 0 in it"
         )
     bounds = {name for names in ends.values() for name in names}
+    value = _of_one_reference(value, bounds, kind, enhancements)
+    if not bounds <= value.keys():
+        return {}, f"{ends['floor'][0]} and {ends['ceiling'][0]} are enhanced by different settings: no share is known"
     shares = {name: share(value[name], floor, ceiling, NO_GAIN) for name in value if name not in bounds}
     return {name: found for name, found in shares.items() if found is not None}, None
+
+
+def _of_one_reference(
+    values: dict[str, Values], bounds: Iterable[str], kind: str, enhancements: Mapping[str, str]
+) -> dict[str, Values]:
+    """The runs whose reference is that of the bounds: the noise-free exposure is enhanced as its run is."""
+    if kind != "enhanced" or len(tones := {enhancements.get(name) for name in bounds}) != 1:
+        return values if kind != "enhanced" else {}
+    return {name: own for name, own in values.items() if enhancements.get(name) in tones}
 
 
 def with_errors(estimates: Mapping[str, Estimate]) -> dict[str, float | None]:
@@ -113,9 +134,13 @@ def with_errors(estimates: Mapping[str, Estimate]) -> dict[str, float | None]:
             for name, value in ((column, found.value), (column + ERROR, found.error))}  # fmt: skip
 
 
-def gains(span: Estimate | None) -> bool:
-    """Whether the ceiling is above the floor by more than other rates, or other views, would make."""
-    return span is not None and span.value > NO_GAIN and (span.error is None or is_span(span))
+def gains(span: Estimate | None) -> bool | None:
+    """Whether the ceiling is above the floor by more than other rates would make; None where the error is too large to
+    tell.
+    """
+    if span is None or span.value + (span.half or 0.0) <= NO_GAIN:
+        return False
+    return True if span.error is None or is_span(span, NO_GAIN) else None
 
 
 def said(found: Estimate, unit: str = " dB") -> str:
@@ -139,7 +164,7 @@ def bounds_of(methods: Mapping[str, str]) -> dict[str, list[str]]:
 
 
 def deltas(
-    scores: Mapping[str, Any], methods: Mapping[str, str], kind: str, number: str
+    scores: Mapping[str, Any], methods: Mapping[str, str], kind: str, number: str, enhancements: Mapping[str, str]
 ) -> tuple[dict[str, Estimate], str]:
     """How far each run is above the floor (without one: above the first run), and the name of that baseline.
 
@@ -148,12 +173,14 @@ def deltas(
         methods: The method of each run, by its name.
         kind: The reference.
         number: The score.
+        enhancements: `enhancement_of` each run, by its name: runs of another one than the baseline's are left out.
     """
     value = {name: found for name, method in scores.items() if (found := values_of(method, kind, number))}
     base = [name for name in bounds_of(methods).get("floor", []) if name in value] or list(value)[:1]
     if not base:
         return {}, ""
     level = mean_values([value[name] for name in base])
+    value = _of_one_reference(value, base, kind, enhancements)
     what = base[0] if len(base) == 1 else f"the mean of {len(base)} runs of {methods[base[0]]}"
     apart = {name: difference(found, level) for name, found in value.items() if [name] != base}
     return {name: found for name, found in apart.items() if found is not None}, what

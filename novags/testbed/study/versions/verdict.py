@@ -8,7 +8,7 @@ from statistics import fmean
 from typing import Any
 
 from novags.testbed.metrics import METRICS
-from novags.testbed.metrics.differences import POWER, Estimate, Values, estimate, quantile
+from novags.testbed.metrics.differences import Estimate, Values, estimate, shift_seen
 from novags.testbed.stages.scores.comparing import enhancement_of
 from novags.testbed.study.differences import ALL, SCENE, Finished, rows_of
 from novags.testbed.study.light import METHOD
@@ -29,9 +29,9 @@ class ComparisonVerdict:
         """Changed less base, by score and scene, and over all scenes, as in differences.csv."""
         runs = []
         for pair in self.pairs:
-            seed = f"{pair.case.noise}/{pair.case.seed}"
             for role, fit in zip(ROLES, (pair.base, pair.changed), strict=True):
-                place = {SCENE: pair.case.scene, "seed": seed, METHOD: role}
+                # Captures of one scene may differ in more than their noise: each is a repeat of its own.
+                place = {SCENE: pair.case.scene, "seed": pair.case.name, METHOD: role}
                 runs.append(Finished(place, fit.run.method, fit.scores, enhancement_of(fit.run.record)))
         return rows_of({METHOD: ROLES}, runs)
 
@@ -71,7 +71,7 @@ class ComparisonVerdict:
                 told += f"{' and' if where == before else ''} by {_measured(each).lstrip('+-')}"
                 before = where
             return f"{told}."
-        least = (quantile(row["freedom"]) + quantile(row["freedom"], 2 * POWER - 1)) * row["error"]
+        least = shift_seen(row["freedom"]) * row["error"]
         return (f"No difference is seen: {_measured(row)}; the smallest that this comparison sees four times in five "
                 f"is {least:.2g} dB.")  # fmt: skip
 
@@ -79,7 +79,7 @@ class ComparisonVerdict:
     def ratio(self) -> Estimate | None:
         """The logarithm of the processor seconds of changed over those of base, paired."""
         values: Values = {
-            (pair.case.scene, f"{pair.case.noise}/{pair.case.seed}", ""): math.log(changed / base)
+            (pair.case.scene, pair.case.name, ""): math.log(changed / base)
             for pair in self.pairs
             if (base := pair.base.cpu_seconds) and (changed := pair.changed.cpu_seconds)
         }
@@ -153,5 +153,5 @@ def _called(score: str) -> str:
 
 
 def _counts(row: Mapping[str, Any]) -> str:
-    named = ((row[what], what.removesuffix("s")) for what in ("scenes", "seeds", "views"))
+    named = ((row[what], called) for what, called in (("scenes", "scene"), ("seeds", "fit"), ("views", "view")))
     return ", ".join(f"{count} {what}{'' if count == 1 else 's'}" for count, what in named)

@@ -12,6 +12,7 @@ from novags.testbed.metrics.differences import (
     Values,
     difference,
     estimate,
+    order,
     places,
     quantile,
     share,
@@ -124,6 +125,44 @@ def test_a_share_has_the_error_that_it_scatters_by() -> None:
     assert np.mean(found) == pytest.approx(LEVEL, abs=BOUND)
 
 
+def test_a_share_is_of_what_all_three_have() -> None:
+    """Half of the span is won in each scene that has all three; where the ceiling failed the gain is 20 dB."""
+    floor, gain = np.full((4, 1, 1), 20.0), np.array([[[4.0]], [[4.2]], [[3.9]], [[40.0]]])
+    one, ceiling = values(floor + gain / 2 + np.array([[[0.01]], [[-0.01]], [[0.0]], [[0.0]]])), values(floor + gain)
+    ceiling = {key: value for key, value in ceiling.items() if key[0] != "scene 3"}
+    known = share(one, values(floor), ceiling)
+    assert known is not None
+    assert known.value == pytest.approx(0.5, abs=0.002)
+    assert known.scenes == 3
+
+
+@pytest.mark.parametrize("more", [True, False])
+def test_two_are_compared_by_the_values_that_both_have_whatever_else_either_has(more: bool) -> None:
+    """a is 1 worse than b wherever it has values, and has none where all do badly."""
+    sign, jitter = (1 if more else -1), np.array([[[0.03]], [[-0.02]], [[0.01]]])
+    easy, hard = np.array([[[30.0]], [[31.0]], [[30.5]]]), np.full((3, 1, 1), 20.0)
+    a, b = values(sign * (easy - 1 + jitter)), values(sign * np.concatenate([easy, hard]))
+    c = values(sign * (np.concatenate([easy, hard]) - 3 + np.linspace(0, 0.1, 6).reshape(6, 1, 1)))
+    assert places({"a": a, "b": b, "c": c}, more, 2) == {"b": 1, "a": 2, "c": 3}
+    assert order({"a": a, "b": b, "c": c}, more) == order({"c": c, "a": a, "b": b}, more) == ["b", "a", "c"]
+
+
+def test_without_a_value_in_common_nothing_is_seen_and_means_order() -> None:
+    a, b = {("s", "0", "v"): 25.0}, {("s", "1", "v"): 26.0}
+    assert places({"a": a, "b": b}, True, 2) == {"a": 1, "b": 1}
+    assert order({"a": a, "b": b}, True) == ["b", "a"]
+    assert order({"a": a, "b": {}, "c": {("s", "0", "v"): np.inf}}, True) == ["c", "a"]
+
+
+def test_a_mean_is_over_scenes_however_many_views_each_has() -> None:
+    """One scene of 100 views, where a is 1 above; ten of 2 views, where it is 1 below, by .1 of them more or less."""
+    views = {("large", "0", str(v)): 1.0 for v in range(100)}
+    views |= {(f"{s}", "0", str(v)): -1 - 0.01 * s for s in range(10) for v in range(2)}
+    zero = dict.fromkeys(views, 0.0)
+    assert places({"a": views, "b": zero}, True, 2) == {"a": 2, "b": 1}
+    assert order({"a": views, "b": zero}, True) == ["b", "a"]
+
+
 @pytest.mark.parametrize(("span", "known"), [(0.25, False), (3.0, True), (-3.0, False)])
 def test_there_is_no_share_of_a_span_that_is_mostly_scatter(span: float, known: bool) -> None:
     floor = np.array([[[20.0, 24.0, 22.0]]])
@@ -167,5 +206,6 @@ def test_a_study_sees_the_difference_that_it_says_it_can_see(scenes: int, seeds:
     freedom = scenes - 1 if scenes > 1 else views - 1
     within = spread.seeds**2 / seeds + spread.views**2 / (seeds * views)
     error = np.sqrt((spread.scenes**2 + within) / scenes if scenes > 1 else within)
-    assert least == pytest.approx((stats.t.ppf(0.975, freedom) + stats.t.ppf(POWER, freedom)) * error, rel=1e-6)
+    drawn = (rng.normal(least / error, 1, 200_000)) / np.sqrt(rng.chisquare(freedom, 200_000) / freedom)
+    assert np.mean(drawn > stats.t.ppf(0.975, freedom)) == pytest.approx(POWER, abs=0.005)  # 5 errors of so many draws
     assert quantile(1e9) == pytest.approx(1.96, abs=1e-3)

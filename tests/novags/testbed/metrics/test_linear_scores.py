@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from novags.testbed.metrics.images import PSNR_CEILING
-from novags.testbed.metrics.linear import exposure_gain, linear_psnr
+from novags.testbed.metrics.images import PSNR_CEILING, mean_scores
+from novags.testbed.metrics.linear import exposure_gain, linear_psnr, linear_scores
 
 
 def views(seed: int, n: int = 3) -> list[np.ndarray]:
@@ -96,3 +96,18 @@ def test_light_over_a_black_reference_says_nothing_and_white_pixels_decide_then(
     assert exposure_gain([(image, reference)]) == pytest.approx(1.0)
     with pytest.raises(ValueError, match="must be > 0 to match exposures"):
         exposure_gain([(image, np.zeros_like(reference))])
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_a_black_view_of_a_noisy_truth_has_no_score_and_leaves_the_other_views_their_error(first: int) -> None:
+    rng = np.random.default_rng(0)
+    truth = rng.uniform(0.2, 0.8, (16, 16, 3)).astype(np.float32)
+    noise = rng.normal(0, 0.01, truth.shape).astype(np.float32)
+    bright = linear_scores(truth + np.float32(0.1), truth, 1.0, (truth + noise, truth - noise))
+    black = linear_scores(truth, np.zeros_like(truth), 1.0, (np.zeros_like(truth), np.zeros_like(truth)))
+    assert black.keys() == bright.keys()
+    assert black["linear_psnr"] is None
+    both = [bright, black] if first == 0 else [black, bright]
+    mean = mean_scores(both)  # type: ignore[arg-type]
+    assert mean["linear_psnr"] == bright["linear_psnr"]  # type: ignore[typeddict-item]
+    assert mean["linear_psnr_error"] == bright["linear_psnr_error"]  # type: ignore[typeddict-item]

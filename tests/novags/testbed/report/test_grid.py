@@ -96,7 +96,39 @@ def test_the_views_of_every_seed_are_values_of_a_line() -> None:
     }  # fmt: skip
     scores[2]["views"].pop("1")  # scored again since
     (line,) = lines_of(table, AXES, COMPETES, scores=scores)
-    assert line.values[PSNR] == {("s", "0", "0"): 19.0, ("s", "0", "1"): 21.0, ("s", "1", ""): 22.0}
+    assert line.values[PSNR] == {("s", "0", ""): 20.0, ("s", "1", ""): 22.0}  # the means, which all have
+
+
+def test_where_a_mean_alone_is_known_of_some_run_all_are_compared_by_means() -> None:
+    """Of a study of two machines each has the views of another seed; a is above by .03 and .01."""
+    means, scores = {"a": (25.03, 25.02), "b": (25.0, 25.01)}, dict[int, Any]()
+    table = [{"run": 2 * "ab".index(name) + seed + 1, "scene": "s", "electrons": 5, "method": name, "seed": seed,
+              "state": "done", PSNR: mean} for name, own in means.items() for seed, mean in enumerate(own)]  # fmt: skip
+    for run in (1, 4):
+        mean = next(row[PSNR] for row in table if row["run"] == run)
+        scores[run] = {"mean": {"enhanced": {"aligned_psnr": mean}}, "views": {
+            view: {"enhanced": {"aligned_psnr": mean + step}} for view, step in (("0", 2.0), ("1", -2.0))}}  # fmt: skip
+    lines = lines_of(table, AXES, COMPETES, scores=scores)
+    assert [line.method for line in lines] == ["a", "b"]
+    assert lines[0].values[PSNR] == {("s", "0", ""): pytest.approx(25.03), ("s", "1", ""): 25.02}
+    assert [line.places[PSNR] for line in lines] == [1, 1]
+
+
+def test_a_difference_says_how_many_scenes_it_is_of() -> None:
+    """c is known of one scene; and of a study under way no scene has both methods at 50 electrons."""
+    axes = {"scene": list("stu"), "electrons": (5, 50), "method": list("abc"), "seed": (0, 1)}
+    table = [{"scene": scene, "electrons": 5, "method": name, "seed": seed, "state": "done",
+              PSNR: 25.0 + k - 2 * "abc".index(name) + 0.1 * seed * k}
+             for name in "abc" for k, scene in enumerate("stu") for seed in (0, 1)
+             if name != "c" or scene == "t"]  # fmt: skip
+    table += [{"scene": scene, "electrons": 50, "method": name, "seed": 0, "state": "done", PSNR: 30.0}
+              for name, scene in (("a", "s"), ("b", "t"))]  # fmt: skip
+    said = verdict(lines_of([{"run": k, **row} for k, row in enumerate(table, 1)], axes, dict.fromkeys("abc", True)),
+                   dict.fromkeys("abc", True))  # fmt: skip
+    assert (
+        "Over 3 scenes (electrons 5), a is +2.00 ± 0.00 above b and +4.00 ± 0.00 above c (this scene, 2 seeds)." in said
+    )
+    assert "electrons 50" not in said
 
 
 def test_scenes_are_gathered_where_all_else_is_alike() -> None:

@@ -104,6 +104,20 @@ def test_a_method_that_lacks_a_scene_says_so() -> None:
     cells = {row[1]: row[2] for row in texts(pivot_table(found, material(some)))}
     assert cells["b"] == "22.05 ± 1.05 (2 of 3 scenes)"
     assert cells["a"] == "22.00 ± 1.15"
+    table = pivot_table(found, material(some))
+    kept = {row[1]: str(own.cells[2].attributes) for row, own in zip(texts(table), table.rows, strict=True)}
+    assert 'data-scenes="2 of 3"' in kept["b"]  # for the CSV of the page
+    assert "data-scenes" not in kept["a"]
+    assert re.search(r'data-error="1\.15', kept["a"])
+
+
+def test_a_method_that_fails_where_all_do_badly_stands_behind_one_that_beats_it() -> None:
+    """b has the larger mean: its scenes are the bright ones, on which a is above it."""
+    some = SCENES | {("one", 5.0, "a"): 2.0, ("two", 5.0, "a"): 23.5, ("three", 5.0, "a"): 25.3}
+    del some["one", 5.0, "b"]
+    found = pivot(material(some))
+    assert found is not None
+    assert [row[1] for row in texts(pivot_table(found, material(some)))] == ["oracle†", "a", "b"]
 
 
 def test_runs_of_one_name_share_a_row_over_captures_and_none_within_one() -> None:

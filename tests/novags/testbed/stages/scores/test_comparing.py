@@ -5,9 +5,10 @@ from typing import Any
 
 import pytest
 
-from novags.testbed.metrics.differences import Estimate
+from novags.testbed.metrics.differences import Estimate, estimate
 from novags.testbed.stages.scores.comparing import (
     deltas,
+    gains,
     recovered_fractions,
     recovered_shares,
     values_of,
@@ -69,13 +70,13 @@ def test_without_ends_to_measure_between_there_is_a_reason_instead_of_a_number(m
 
 def test_what_is_recovered_is_known_against_both_references() -> None:
     scores = {name: method(value) for name, value in (("nova", 25.0), ("naive", 20.0), ("oracle", 30.0))}
-    shares, why = recovered_shares(scores, itself(scores))
+    shares, why = recovered_shares(scores, itself(scores), {})
     assert {column: values(own) for column, own in shares.items()} == {
         "recovered": {"nova": pytest.approx(0.5)},
         "recovered_lit": {"nova": pytest.approx(0.5)},
     }
     assert why == {}
-    _, why = recovered_shares({"nova": scores["nova"]}, {"nova": "nova"})
+    _, why = recovered_shares({"nova": scores["nova"]}, {"nova": "nova"}, {})
     assert set(why) == {"recovered", "recovered_lit"}
 
 
@@ -122,7 +123,7 @@ def test_gains_over_the_floor_are_paired_by_view_and_carry_their_error() -> None
     scores = {"naive": method(20.0), "nova": method(22.0)}
     for k, off in enumerate((0.3, -0.3, 0.0)):
         scores["nova"]["views"][str(k)]["lit"]["tone_aligned_psnr"] += off
-    found, base = deltas(scores, itself(scores), "lit", "tone_aligned_psnr")
+    found, base = deltas(scores, itself(scores), "lit", "tone_aligned_psnr", {})
     assert base == "naive"
     assert with_errors(found) == {"nova": pytest.approx(1.0), "nova_error": pytest.approx(0.3 / 3**0.5)}
     assert found["nova"].where == "this scene, 3 views"
@@ -132,6 +133,30 @@ def test_a_run_of_which_only_means_are_known_has_values_without_an_error() -> No
     scores = {name: {"mean": method(value)["mean"]} for name, value in (("naive", 20.0), ("nova", 22.0))}
     assert values_of(scores["nova"], "enhanced", "aligned_psnr", "s", "1") == {("s", "1", ""): 22.0}
     assert values_of(scores["nova"], "enhanced", "lpips") == {}
-    found, _ = deltas(scores, itself(scores), "enhanced", "aligned_psnr")
+    found, _ = deltas(scores, itself(scores), "enhanced", "aligned_psnr", {})
     assert (found["nova"].value, found["nova"].error) == (2.0, None)
     assert with_errors(found) == {"nova": 2.0, "nova_error": None}
+
+
+def test_a_run_of_another_enhancement_has_another_noise_free_reference_and_no_share_of_it() -> None:
+    scores = {name: method(value) for name, value in (("naive", 20.0), ("nova", 25.0), ("dim", 34.0), ("oracle", 30.0))}
+    own = {"naive": "guided", "nova": "guided", "oracle": "guided", "dim": "darker"}
+    shares, _ = recovered_shares(scores, itself(scores), own)
+    assert values(shares["recovered"]) == {"nova": pytest.approx(0.5)}
+    assert values(shares["recovered_lit"]) == {"nova": pytest.approx(0.5), "dim": pytest.approx(1.4)}
+    assert deltas(scores, itself(scores), "enhanced", "aligned_psnr", own)[0].keys() == {"nova", "oracle"}
+    assert deltas(scores, itself(scores), "lit", "tone_aligned_psnr", own)[0].keys() == {"nova", "oracle", "dim"}
+    shares, why = recovered_shares(scores, itself(scores), own | {"oracle": "darker"})
+    assert (shares["recovered"], len(shares["recovered_lit"])) == ({}, 2)
+    assert "enhanced by different settings" in why["recovered"]
+
+
+@pytest.mark.parametrize(
+    ("apart", "known"),
+    [((3.6, 4.4), None), ((2.4, 4.2, 1.9), None), ((4.0, 4.1, 3.9), True), ((0.5, 0.51, 0.49), False),
+     ((0.5, 1.6), None), ((3.0,), True), ((0.5,), False)],
+)  # fmt: skip
+def test_a_gain_that_few_views_cannot_tell_is_neither_there_nor_not(
+    apart: tuple[float, ...], known: bool | None
+) -> None:
+    assert gains(estimate({("", "", str(k)): x for k, x in enumerate(apart)})) is known

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.stats import t
 
+from novags.testbed.metrics.differences import shift_seen
 from novags.testbed.study.versions.pairs import Fit, FittedCase, Pair
 from novags.testbed.study.versions.verdict import ComparisonVerdict
 
@@ -47,7 +47,7 @@ def verdict(
 def test_a_gain_that_all_share_is_seen_through_the_scatter_of_scenes_and_views() -> None:
     found = verdict(0.2)
     assert found.headline.startswith("changed (mine) is above base (naive) by 0.198")
-    assert "(PSNR aligned, noise-free; 3 scenes, 2 seeds, 3 views)" in found.headline
+    assert "(PSNR aligned, noise-free; 3 scenes, 2 fits, 3 views)" in found.headline
     assert "views) and by 0.198" in found.headline  # in the other score
     row = found.whole[0]
     assert abs(row["difference"] - 0.2) < 5 * 0.01 / np.sqrt(18)
@@ -69,14 +69,14 @@ def test_what_scatters_more_than_it_gains_is_no_difference_and_says_what_would_b
     least = float(found.headline.rpartition("is ")[2].split()[0])
     row = found.whole[0]
     # Beyond the interval of 95 %, as far as four of five estimates lie above their truth less that.
-    assert least == float(f"{(t.ppf(0.975, row['freedom']) + t.ppf(0.8, row['freedom'])) * row['error']:.2g}")
+    assert least == float(f"{shift_seen(row['freedom']) * row['error']:.2g}")
     assert not found.below
 
 
 def test_nothing_that_repeats_has_no_error() -> None:
     found = verdict(0.2, scenes=1, seeds=1, views=1)
     assert found.headline.startswith("No error is known, because nothing repeats: +0.2")
-    assert "1 scene, 1 seed, 1 view" in found.headline
+    assert "1 scene, 1 fit, 1 view" in found.headline
     assert not found.below
     assert found.ratio is not None
     assert found.ratio.error is None
@@ -141,3 +141,18 @@ def test_every_pair_counts_for_costs_and_every_scene_is_told_of() -> None:
     assert all(f", {scene}\n" in said for scene in scenes)
     assert "6 pairs of fits" in said
     assert "12 (changed) and 6 (base) MB" in said
+
+
+@pytest.mark.parametrize("places", [("at-5", "at-20"), ("at-20", "at-5")])
+def test_captures_of_one_set_that_share_their_noise_all_count_in_any_order(places: tuple[str, str]) -> None:
+    """Changed is 3 dB worse at 5 electrons and 1 dB better at 20, and takes twice and four times as long."""
+    gains, pairs = {"at-5": (-3.0, 20.0), "at-20": (1.0, 40.0)}, []
+    for place in places:
+        case, (gain, cpu) = FittedCase(Path("out") / place, "at-5", "0", 0), gains[place]
+        pairs.append(Pair(case, "naive", fit(np.arange(3.0)), fit(np.arange(3.0) + gain, cpu, "other")))
+    found = ComparisonVerdict(NAMES, pairs)
+    assert found.whole[0]["difference"] == pytest.approx(-1.0)
+    assert found.whole[0]["error"] == pytest.approx(2.0)
+    assert not found.below  # two captures that disagree tell nothing
+    assert found.ratio is not None
+    assert np.exp(found.ratio.value) == pytest.approx(8**0.5)
