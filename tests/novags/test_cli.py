@@ -45,10 +45,12 @@ def test_a_variant_that_is_spelled_out_is_compared_beside_the_methods_that_are_n
 
     seen = []
     monkeypatch.setattr(place, "run", lambda preset, *_, **__: seen.append(preset.methods) or tmp_path)
-    (tmp_path / "more.toml").write_text('[variant.x]\nmethod = "naive"\n[variant.y]\nmethod = "naive"\n')
-    words = ["run", "--methods", "naive", "y", "--variant", "l1=naive:fit.dssim_weight=0", "--out", str(tmp_path)]
+    (tmp_path / "more.toml").write_text(
+        '[variant.x]\nmethod = "naive"\n[variant.y]\nmethod = "naive"\n[variant.z]\nmethod = "naive"\n'
+    )
+    words = ["run", "--methods", "naive", "x", "z", "--variant", "l1=naive:fit.dssim_weight=0", "--out", str(tmp_path)]
     assert call(*words, "--variant", str(tmp_path / "more.toml")) == 0
-    assert seen == [("naive", "y", "l1")]
+    assert seen == [("naive", "x", "z", "l1")]
 
 
 @pytest.mark.parametrize(

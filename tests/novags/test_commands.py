@@ -95,6 +95,31 @@ def test_scores_are_said_of_every_place_that_runs_lie_in(
     assert capsys.readouterr().out.split("\n")[:-1] == ["at a:", "naive: at a", "at b:", "naive: at b"]
 
 
+@pytest.mark.parametrize("differing", ["", "first", "second", "third"])
+def test_runs_that_are_made_again_are_drawn_by_the_seed_and_one_part_that_differs_is_enough(
+    call: Call, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, differing: str
+) -> None:
+    from novags.commands.results import DIFFERS
+    from novags.testbed.stages.explaining import verifying
+
+    asked = list[Any]()
+
+    def drawn(*how: Any) -> dict[str, Any]:
+        asked.append(how)
+        return {}
+
+    made = [SimpleNamespace(line=partial(str, name), same=name != differing) for name in ("first", "second", "third")]
+    monkeypatch.setattr(verifying, "chosen_runs", drawn)
+    monkeypatch.setattr(verifying, "verify", lambda *_: made)
+    words = ("verify", str(tmp_path), "--out", str(tmp_path / "out"), "--count", "2", "--seed")
+    for seed in (7, 8):
+        assert call(*words, str(seed)) == (DIFFERS if differing else 0)
+        assert capsys.readouterr().out.split() == ["first", "second", "third"]
+    assert asked == [((tmp_path,), 2, seed) for seed in (7, 8)]
+    assert call(*words, "-1") == 2
+    assert "seed must be >= 0" in capsys.readouterr().err
+
+
 def test_a_camera_at_several_isos_has_a_file_of_maps_for_each(
     call: Call, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -124,9 +149,11 @@ def test_an_effect_is_written_with_its_camera_or_not_at_all(
     monkeypatch.chdir(tmp_path)
     assert call("new", "effect", "glow") == 0
     assert sorted(path.name for path in tmp_path.iterdir()) == ["glow.py", "glow.toml"]
-    (tmp_path / "glow.py").unlink()
-    assert call("new", "effect", "glow") == 2
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["glow.toml"]
+    for there, missing in (("glow.toml", "glow.py"), ("glow.py", "glow.toml")):
+        (tmp_path / missing).rename(tmp_path / there)
+        (tmp_path / there).write_text("mine")
+        assert call("new", "effect", "glow") == 2
+        assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [(there, "mine")]
 
 
 def test_the_store_keeps_every_entry_of_a_study_that_is_named_by_its_file(

@@ -36,7 +36,7 @@ def test_all_subjects_are_planned_and_their_files_named(
     assert named == ["render.svg", "render", "splats.svg", "splats"]
 
 
-@pytest.mark.parametrize(("states", "failed"), [(["done", "failed", "failed"], 2), (["done", "done"], 0)])
+@pytest.mark.parametrize(("states", "failed"), [(["failed", "done", "failed"], 2), (["done", "done"], 0)])
 def test_measurements_that_failed_are_counted_and_the_others_drawn(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, states: list[str], failed: int
 ) -> None:

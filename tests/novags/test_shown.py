@@ -123,10 +123,10 @@ def test_a_program_reads_the_lists_as_json(call: Call, capsys: pytest.CaptureFix
     assert not any("FILE" in name or ":" in name for rows in found.values() for name in rows)  # each can be given
 
 
-def test_the_texts_of_a_list_stand_in_one_column_beside_the_longest_name() -> None:
-    assert table({"a": "short", "longest": "text", "mid": "other"}).splitlines() == [
-        "  a        short", "  longest  text", "  mid      other"
-    ]  # fmt: skip
+@pytest.mark.parametrize("order", [("a", "longest", "mid"), ("longest", "mid", "a"), ("mid", "a", "longest")])
+def test_the_texts_of_a_list_stand_in_one_column_beside_the_longest_name(order: tuple[str, ...]) -> None:
+    rows = {"a": ("short", "  a        short"), "longest": ("text", "  longest  text"), "mid": ("or", "  mid      or")}
+    assert table({name: rows[name][0] for name in order}).splitlines() == [rows[name][1] for name in order]
 
 
 @pytest.mark.parametrize("place", [0, 1, 2])

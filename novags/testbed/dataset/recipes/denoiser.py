@@ -21,10 +21,10 @@ def check(presets: Sequence[Preset]) -> None:
     Raises:
         ValueError: If a side is odd.
     """
-    for preset in presets:
-        size = preset.render.width, preset.render.height
-        if preset.capture.camera.cfa is not None and any(side % 2 for side in size):
-            raise ValueError(f"width and height {SIDE}, got {size[0]} x {size[1]} px: make both even")
+    first = presets[0]
+    size = first.render.width, first.render.height
+    if first.capture.camera.cfa is not None and any(side % 2 for side in size):
+        raise ValueError(f"width and height {SIDE}, got {size[0]} x {size[1]} px: make both even")
 
 
 def pixel_bytes(presets: Sequence[Preset]) -> float:

@@ -33,9 +33,8 @@ def check(presets: Sequence[Preset]) -> None:
     Raises:
         ValueError: If there are too few views.
     """
-    for preset in presets:
-        if (views := preset.render.n_views) < 4:  # of 4, one is held out: two others for each of the rest
-            raise ValueError(f"views must be >= 4, so that every view has two others as context, got {views}: add some")
+    if (views := presets[0].render.n_views) < 4:  # of 4, one is held out: two others for each of the rest
+        raise ValueError(f"views must be >= 4, so that every view has two others as context, got {views}: add some")
 
 
 def pixel_bytes(presets: Sequence[Preset]) -> float:

@@ -11,10 +11,45 @@ from novags.testbed.dataset.recipes.dark3r import DARK3R
 from novags.testbed.dataset.recipes.denoiser import DENOISER
 from novags.testbed.dataset.recipes.feedforward import CONTEXT, FEEDFORWARD, context_of
 from novags.testbed.dataset.recipes.packing import half_size, packed
-from novags.testbed.dataset.recipes.recipe import Group
+from novags.testbed.dataset.recipes.recipe import Group, groups_of
+from novags.testbed.stages.configs.capturing import OwnNoiseConfig
+from novags.testbed.stages.configs.rendering import RenderConfig
 from simscenes.rigs import orbit_rig
 from simscenes.sets.pictures.exr import read_exr
 from simscenes.sets.pictures.png import read_codes
+
+MOSAIC, CHIPS = "a7s2-iso6400", "a7s2-iso6400-3chip"
+
+
+def planned(sensor: str, *electrons: float, width: int = 32, height: int = 24) -> Any:
+    """A group of captures before they are made, each with noise of its own."""
+    render = RenderConfig(scene="cornell", width=width, height=height)
+    captures = [OwnNoiseConfig(sensor=sensor, electrons=light, drawn=k) for k, light in enumerate(electrons)]
+    found: Any = [SimpleNamespace(render=render, capture=capture) for capture in captures]
+    (group,) = groups_of(found)
+    return group
+
+
+def test_the_forecast_of_pairs_counts_every_byte_of_the_pixels_of_every_capture(mosaic: Group, chips: Group) -> None:
+    for group, sensor in ((mosaic, MOSAIC), (chips, CHIPS)):
+        plan = planned(sensor, *(level.electrons for level in group.levels))
+        arrays = [array for sample in DENOISER.samples(group) for array in sample.arrays.values()]
+        found = sum(array.nbytes for array in arrays if array.ndim)
+        assert DENOISER.pixel_bytes(plan) * len(group.names) * 24 * 32 == found
+
+
+def test_a_side_that_is_odd_is_refused_behind_a_mosaic_alone() -> None:
+    for odd in ({"width": 33}, {"height": 33}):
+        with pytest.raises(ValueError, match="make both even"):
+            DENOISER.check(planned(MOSAIC, 1, 1000, **odd))
+        DENOISER.check(planned(CHIPS, 1, 1000, **odd))
+    DENOISER.check(planned(MOSAIC, 1, 1000))
+
+
+def test_a_bright_and_a_dark_exposure_need_two_lights_however_many_captures_there_are() -> None:
+    DARK3R.check(planned(MOSAIC, 1000, 1))
+    with pytest.raises(ValueError, match="two values or more for each scene and camera.* got 20: add a bright one"):
+        DARK3R.check(planned(MOSAIC, 20, 20))
 
 
 def test_pairs_are_the_frames_of_every_capture_and_their_noise_has_the_stated_variance(mosaic: Group) -> None:
