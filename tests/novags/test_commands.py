@@ -183,16 +183,18 @@ def test_a_dry_run_within_a_budget_says_every_line(
     assert "settings" in said
 
 
+@pytest.mark.parametrize("commits", [(None, "1234"), ("1234", None)])
 def test_a_comparison_lays_out_both_sides_runs_every_method_and_says_and_writes_every_row(
-    call: Call, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+    call: Call, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path,
+    commits: tuple[str | None, ...],
+) -> None:  # fmt: skip
     from novags.commands.study import BELOW
     from novags.testbed.study.versions import pairs, sides, verdict
 
     laid, asked = list[str](), list[str]()
     two = [
         SimpleNamespace(role=role, said=f"the {role}", method=None, commit=commit, lay_out=partial(laid.append, role))
-        for role, commit in (("base", None), ("changed", "1234"))
+        for role, commit in zip(("base", "changed"), commits, strict=True)
     ]
 
     def fitted(_: Any, __: Any, words: dict[str, Any], *___: Any) -> list[Any]:
@@ -235,13 +237,39 @@ def test_a_comparison_takes_every_variant_and_bounds_every_seed(
     monkeypatch.setattr(pairs, "fit_pairs", lambda _, __, words, *___: seen.update(words) or [])
     texts = [f"{name}=naive:fit.dssim_weight={weight}" for name, weight in (("half", 0.5), ("most", 0.9))]
     words = ("compare", "half", "most", *(word for text in texts for word in ("--variant", text)), "--captures",
-             str(tmp_path), "--out", str(tmp_path / "out"), "--seeds", "0")  # fmt: skip
-    assert call(*words) == 0
+             str(tmp_path), "--out", str(tmp_path / "out"), "--seeds")  # fmt: skip
+    assert call(*words, "0") == 0
     assert {name: list(told[-2:]) for name, told in seen.items()} == {
         name: ["--variant", text] for name, text in zip(("half", "most"), texts, strict=True)
     }
-    assert call(*words, "-1") == 2
-    assert "seed" in capsys.readouterr().err
+    for seeds in (("0", "-1"), ("-1", "0")):
+        assert call(*words, *seeds) == 2
+        assert "seed must be >= 0" in capsys.readouterr().err
+
+
+def test_the_noise_of_a_twin_is_compared_with_the_real_one_in_this_order_unless_it_is_not_wanted(
+    call: Call, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    from novags.testbed.study.versions import twins
+
+    def both(*folders: Any) -> Any:
+        return [SimpleNamespace(methods=[f"best of {f.name}"], pictures=lambda f=f: f.name) for f in folders[:2]]
+
+    def judged(*given: Any) -> Any:
+        twin, real, against, noise = given
+        return SimpleNamespace(lines=lambda: [f"{twin.pictures()} and {real.pictures()}, {against}, {noise}"])
+
+    monkeypatch.setattr(twins, "both_sides", both)
+    monkeypatch.setattr(twins, "noise_ratios", lambda twin, real: f"noise of {twin} over {real}")
+    monkeypatch.setattr(twins, "TwinVerdict", judged)
+    words = ("compare-sets", str(tmp_path / "twin"), str(tmp_path / "real"))
+    for name in ("twin", "real"):
+        (tmp_path / name).mkdir()
+    assert call(*words) == 0
+    assert call(*words, "--no-noise") == 0
+    assert capsys.readouterr().out.splitlines() == [
+        "twin and real, best of twin, noise of twin over real", "twin and real, best of twin, []"
+    ]  # fmt: skip
 
 
 def test_a_reference_is_refused_where_it_would_choose_nothing(

@@ -8,6 +8,7 @@ depth moves them to, on scenes with edges and texture.
 import csv
 import re
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,10 +16,12 @@ import pytest
 
 from novags.commands.dataset import dataset
 from novags.testbed.dataset.file import read_dataset
-from novags.testbed.dataset.recipes.listed import RECIPES, size_of
+from novags.testbed.dataset.recipes.listed import RECIPES, check_recipes, size_of
+from novags.testbed.study.cells.presets import EXPERIMENTS
 
 ROOT = Path(__file__).resolve().parents[5]
 EXAMPLES = {name: ROOT / "docs" / "examples" / f"{name}.py" for name in RECIPES}
+MOSAIC = "a7s2-iso6400"
 FILE = """
 [dataset]
 name = "dark-balls"
@@ -87,6 +90,24 @@ def test_every_recipe_has_an_example_of_some_thirty_lines_that_the_page_names() 
         assert len([line for line in lines if not line.strip().startswith('"""')]) <= 32
         assert f"`{name}`" in page
         assert f"examples/{name}.py" in page
+
+
+@pytest.mark.parametrize("at", range(3))
+def test_every_recipe_is_looked_up_and_every_scene_is_checked_for_it(at: int) -> None:
+    names, scenes = ["denoiser", "dark3r", "feedforward"], ["cornell", "busts", "hall"]
+    demo = EXPERIMENTS["demo"]
+    presets = [replace(demo, render=replace(demo.render, scene=scene), capture=replace(demo.capture, sensor=MOSAIC,
+               electrons=electrons)) for scene in scenes for electrons in (5.0, 1000.0)]  # fmt: skip
+    check_recipes(names, presets)
+    few = [replace(preset, render=replace(preset.render, n_views=3)) if preset.render.scene == scenes[at] else preset
+           for preset in presets]  # fmt: skip
+    order = [name for name in names if name != "feedforward"]
+    order.insert(at, "feedforward")
+    with pytest.raises(ValueError, match=f"recipe feedforward, scene {scenes[at]}: views must be >= 4"):
+        check_recipes(order, few)
+    names[at] = "denoise"
+    with pytest.raises(ValueError, match="recipes: there is no 'denoise'; there are denoiser, dark3r, feedforward"):
+        check_recipes(names, presets)
 
 
 def test_a_denoiser_that_trains_on_the_pairs_takes_noise_out_of_another_scene(

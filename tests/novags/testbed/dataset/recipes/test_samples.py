@@ -1,5 +1,6 @@
 """Claims about the samples of each recipe."""
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -14,6 +15,7 @@ from novags.testbed.dataset.recipes.packing import half_size, packed
 from novags.testbed.dataset.recipes.recipe import Group, groups_of
 from novags.testbed.stages.configs.capturing import OwnNoiseConfig
 from novags.testbed.stages.configs.rendering import RenderConfig
+from novags.testbed.study.cells.presets import EXPERIMENTS, Preset
 from simscenes.rigs import orbit_rig
 from simscenes.sets.pictures.exr import read_exr
 from simscenes.sets.pictures.png import read_codes
@@ -123,10 +125,39 @@ def test_views_hold_every_light_level_the_truth_and_their_context(mosaic: Group)
         assert arrays["electrons"].tolist() == [1, 20, 2000]
         assert np.array_equal(arrays["viewmat"], views.rig.viewmats[i].astype(np.float32))
         assert np.array_equal(arrays["K"], views.rig.Ks[i].astype(np.float32))
+        assert (row["sensor"], row["electrons"]) == ("a7s2-iso6400", "1 20 2000")
         assert row["held_out"] == int(i in views.test_indices)
         assert float(row["near"]) == pytest.approx(min(depth.min() for depth in depths), rel=1e-5)
         assert float(row["far"]) == pytest.approx(max(depth.max() for depth in depths), rel=1e-5)
         assert row["context"].split() == [views.names[j] for j in context_of(views, i, float(np.median(depths)))]
+
+
+def test_a_single_level_of_light_is_enough_for_views(chips: Group) -> None:
+    for sample in FEEDFORWARD.samples(chips):
+        assert sample.arrays["dark"].shape == (1, 3, 24, 32)
+        assert (sample.row["sensor"], sample.row["electrons"]) == ("a7s2-iso6400-3chip", "5")
+
+
+def before_it_is_made(views: int = 8, width: int = 64, **capture: Any) -> Preset:
+    """A capture before it is made."""
+    demo = EXPERIMENTS["demo"]
+    render = replace(demo.render, n_views=views, width=width)
+    return replace(demo, render=render, capture=replace(demo.capture, sensor="a7s2-iso6400", **capture))
+
+
+def test_a_group_has_all_captures_of_a_set_by_a_camera_whatever_their_light() -> None:
+    drawn = OwnNoiseConfig(sensor="a7s2-iso6400", electrons=20.0, drawn=7)
+    group = [before_it_is_made(electrons=electrons) for electrons in (5.0, 50.0)]
+    noise = [replace(before_it_is_made(), capture=replace(drawn, drawn=seed)) for seed in (7, 8)]
+    others = [
+        before_it_is_made(views=9),
+        before_it_is_made(width=66),
+        before_it_is_made(seed=1),
+        before_it_is_made(time=0.1),
+    ]
+    assert groups_of([*others[:2], *group, *noise, *others[2:]]) == [
+        *([one] for one in others[:2]), [*group, *noise], *([one] for one in others[2:])
+    ]  # fmt: skip
 
 
 def some_views(viewmats: np.ndarray, held: tuple[int, ...] = (0,)) -> Any:
