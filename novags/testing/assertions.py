@@ -176,8 +176,7 @@ def _images(
         from novags.testbed.importing.pictures import find_renders, read_picture
 
         files = find_renders(Path(pictures), views.names).files
-        read = [read_picture(files[name], views.width, views.height) for name in views.names]
-        return [picture.linear if linear else picture.values for picture in read]
+        return [read_picture(files[name], views.width, views.height, linear=linear).values for name in views.names]
     given = _array("pictures", pictures)
     whole = given.dtype.kind in "iub"
     assert not whole or given.dtype in (np.uint8, np.uint16), (

@@ -30,7 +30,7 @@ from simscenes.sets.readers.colmap import find_colmap, read_colmap, read_points
 from simscenes.sets.readers.llff import is_llff
 from simscenes.sets.readers.nerf_synthetic import is_nerf_synthetic
 from simscenes.sets.readers.photographs import DistortedPinhole, Photographs, read_transforms
-from simscenes.sets.readers.ply_points import listed_points, read_ply_points
+from simscenes.sets.readers.ply_points import is_ours, listed_points, read_ply_points
 from simscenes.sets.readers.resized import picture_folder
 from simscenes.sets.writers.camera_files import is_test_view, write_cameras
 
@@ -209,7 +209,7 @@ class MultiviewSet:
         """Folders of the images and of the COLMAP model in the frame of the cameras; None without such a model."""
         # Beside a foreign transforms.json a COLMAP model may be in another frame (nerfstudio re-orients), so only our
         # own folders, which name it in nb-info.json, and pure COLMAP folders give points.
-        ours = (self.path / "nb-info.json").is_file() or not (self.path / "transforms.json").is_file()
+        ours = is_ours(self.path) or not (self.path / "transforms.json").is_file()
         model = find_colmap(self.path) if ours else None
         return None if model is None else (picture_folder(self.path), model)
 

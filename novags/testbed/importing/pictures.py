@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 
 from novags.testbed.metrics.picture import Image
-from sensor_model.isp import srgb_to_linear
+from sensor_model.isp import linear_to_srgb, srgb_to_linear
 from simscenes.sets.pictures.exr import read_exr
-from simscenes.sets.pictures.exr_meaning import refuse_foreign, refuse_pixels
-from simscenes.sets.pictures.image_file import alpha_of, before_white, has_alpha, read_image, read_light
-from simscenes.sets.pictures.meaning import is_deep
+from simscenes.sets.pictures.exr_meaning import OPAQUE, refuse_clear, refuse_foreign, refuse_pixels
+from simscenes.sets.pictures.image_file import alpha_of, before_white, has_alpha, read_deep, read_image, stated_curve
+from simscenes.sets.pictures.meaning import Curve, is_deep
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".exr")
 NAMED = 10  # views that an error names
@@ -25,7 +25,7 @@ class ForeignPicture:
     """The picture in a file.
 
     Attributes:
-        values: As stored, float32 [h,w,3]: codes over the largest code, or the numbers of an EXR file.
+        values: Linear light or sRGB-encoded values, as was asked for, float32 [h,w,3]; codes over the largest code.
         kind: Of the file.
         depth: Expected z-depth [h,w], world units, of an EXR file with a channel Z; else None.
         alpha: Opacity [h,w], 0..1: its channel alpha or A, else 1 everywhere. None without depth.
@@ -37,11 +37,6 @@ class ForeignPicture:
     depth: np.ndarray | None = None
     alpha: np.ndarray | None = None
     clear: bool = False
-
-    @property
-    def linear(self) -> Image:
-        """As linear light: 16-bit and EXR files hold it, 8-bit ones are sRGB-encoded."""
-        return np.asarray(srgb_to_linear(self.values), np.float32) if self.kind == "8-bit" else self.values
 
 
 @dataclass(frozen=True)
@@ -95,16 +90,19 @@ def _below(folder: Path) -> str:
     return f" itself, pictures are in {_listed(holders)}: give such a folder" if holders else ""
 
 
-def read_picture(file: Path, width: int, height: int) -> ForeignPicture:
-    """Read one picture of a view of `width` x `height` px.
+def read_picture(file: Path, width: int, height: int, *, linear: bool = False) -> ForeignPicture:
+    """Read one picture of a view of `width` x `height` px as linear light, or else as sRGB-encoded values.
 
-    Transparent pixels stand before white, as the test bed's own sets have them.
+    Codes of 8 bits are sRGB-encoded. Codes of 16 bits are what is asked for, unless their file says otherwise, and so
+    are the numbers of EXR files. Transparent pixels stand before white, as the test bed's own sets have them; an EXR
+    file has its colours multiplied by the channel A, and none of them transparent in linear light, where no number is
+    known to be white.
 
     Raises:
         ValueError: If it cannot be read, has another size, holds other than 8- or 16-bit codes, is an EXR file without
-            R, G and B, or a value is not finite.
+            R, G and B or not opaque in linear light, or a value is not finite.
     """
-    picture = _read_exr(file) if file.suffix.lower() == ".exr" else _read_codes(file)
+    picture = _read_exr(file, linear) if file.suffix.lower() == ".exr" else _read_codes(file, linear)
     found = picture.values.shape[:2]
     if found != (height, width):
         raise ValueError(f"{file} is {found[1]} x {found[0]} px, and its view {width} x {height}: render it in the "
@@ -116,17 +114,23 @@ def read_picture(file: Path, width: int, height: int) -> ForeignPicture:
     return picture
 
 
-def _read_codes(file: Path) -> ForeignPicture:
+def _read_codes(file: Path, linear: bool) -> ForeignPicture:
     clear = has_alpha(file) and bool((alpha_of(file) < 255).any())
-    if is_deep(file):
-        return ForeignPicture(read_light(file), "16-bit", clear=clear)
-    if has_alpha(file):
-        return ForeignPicture(before_white(file)[0], "8-bit", clear=clear)
-    bgr = read_image(file, cv2.IMREAD_COLOR)
-    return ForeignPicture(np.ascontiguousarray(bgr[..., ::-1]).astype(np.float32) / np.float32(255), "8-bit")
+    deep = is_deep(file)
+    if deep:
+        values = read_deep(file)
+    elif has_alpha(file):
+        values = before_white(file)[0]
+    else:
+        bgr = read_image(file, cv2.IMREAD_COLOR)
+        values = np.ascontiguousarray(bgr[..., ::-1]).astype(np.float32) / np.float32(255)
+    asked: Curve = "linear" if linear else "srgb"
+    if (stated_curve(file) or asked if deep else "srgb") != asked:
+        values = np.asarray((srgb_to_linear if linear else linear_to_srgb)(values), np.float32)
+    return ForeignPicture(values, "16-bit" if deep else "8-bit", clear=clear)
 
 
-def _read_exr(file: Path) -> ForeignPicture:
+def _read_exr(file: Path, linear: bool) -> ForeignPicture:
     refuse_foreign(file)
     channels, _ = read_exr(file)
     if missing := [name for name in "RGB" if name not in channels]:
@@ -134,11 +138,15 @@ def _read_exr(file: Path) -> ForeignPicture:
                          "R, G and B")  # fmt: skip
     refuse_pixels(channels, file)
     values = np.stack([channels[name] for name in "RGB"], axis=-1).astype(np.float32)
+    seen = np.clip(channels.get("A", np.ones_like(values[..., 0])).astype(np.float32), 0.0, 1.0)
+    if clear := not (seen >= OPAQUE).all():
+        if linear:
+            refuse_clear(channels, file)
+        values += 1 - seen[..., None]
     if "Z" not in channels:
-        return ForeignPicture(values, "EXR")
-    depth = channels["Z"].astype(np.float32)
-    alpha = channels.get("alpha", channels.get("A", np.ones_like(depth))).astype(np.float32)
-    return ForeignPicture(values, "EXR", depth, np.clip(alpha, 0.0, 1.0))
+        return ForeignPicture(values, "EXR", clear=clear)
+    alpha = np.clip(channels.get("alpha", seen).astype(np.float32), 0.0, 1.0)
+    return ForeignPicture(values, "EXR", channels["Z"].astype(np.float32), alpha, clear)
 
 
 def _listed(names: Iterable[str]) -> str:

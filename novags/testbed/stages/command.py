@@ -15,7 +15,6 @@ from novags.testbed.folders.capture import RECORD, Capture, open_capture
 from novags.testbed.importing.pictures import ForeignPicture, find_renders, read_picture
 from novags.testbed.importing.programs import Spent, run_program
 from novags.testbed.ledger.stage import run_stage
-from novags.testbed.metrics.picture import Image
 from novags.testbed.stages.configs.command import CommandConfig
 from novags.testbed.stages.paths import keep_apart
 from sensor_model.files.atomic import remove, write_text
@@ -88,16 +87,16 @@ def _keep_pictures(capture: Capture, made: Path, out: Path, space: str) -> bool:
     rig, cameras = capture.cameras.rig, capture.cameras
     names = [cameras.names[i] for i in cameras.test_indices]
     renders = find_renders(made, names)
-    pictures = {name: read_picture(renders.files[name], rig.width, rig.height) for name in names}
+    linear = space == "linear"
+    pictures = {name: read_picture(renders.files[name], rig.width, rig.height, linear=linear) for name in names}
     for name, picture in pictures.items():
-        values = picture.linear if space == "linear" else picture.values
-        write_png(out / "renders" / f"{name}.png", encode(values) if space == "linear" else values)
-        write_exr(out / "exr" / f"{name}.exr", _channels(values, picture))
+        write_png(out / "renders" / f"{name}.png", encode(picture.values) if linear else picture.values)
+        write_exr(out / "exr" / f"{name}.exr", _channels(picture))
     return all(picture.depth is not None for picture in pictures.values())
 
 
-def _channels(values: Image, picture: ForeignPicture) -> dict[str, np.ndarray]:
-    found = {c: np.ascontiguousarray(values[..., k]) for k, c in enumerate("RGB")}
+def _channels(picture: ForeignPicture) -> dict[str, np.ndarray]:
+    found = {c: np.ascontiguousarray(picture.values[..., k]) for k, c in enumerate("RGB")}
     if picture.depth is None or picture.alpha is None:
         return found
     return {**found, "Z": np.maximum(picture.depth, 0), "alpha": picture.alpha}

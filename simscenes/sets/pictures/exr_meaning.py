@@ -56,9 +56,9 @@ def refuse_pixels(channels: dict[str, Any], path: Path) -> None:
     if bad := [name for name, part in zip("RGB", light, strict=True) if part.dtype.kind != "f"]:
         raise ValueError(f"{path} must hold light as half or float numbers, got integers in {bad[0]}: write R, G and B "
                          "again")  # fmt: skip
-    if len({part.shape for part in light}) > 1:
-        raise ValueError(f"{path} must hold R, G and B at every pixel, got {[part.shape for part in light]}: write "
-                         "them without subsampling")  # fmt: skip
+    shapes = [channels[name].shape for name in "RGBA" if name in channels]
+    if len(set(shapes)) > 1:
+        raise ValueError(f"{path} must hold R, G, B and A at every pixel, got {shapes}: write them without subsampling")
 
 
 def refuse_clear(channels: dict[str, Any], path: Path) -> None:

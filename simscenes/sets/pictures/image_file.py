@@ -210,19 +210,25 @@ def read_light(file: Path) -> NDArray[np.float32]:
     Its codes are light, unless the file says that they are sRGB-encoded.
 
     Raises:
+        ValueError: As `read_deep`.
+    """
+    shares = read_deep(file)
+    return np.asarray(srgb_to_linear(shares), np.float32) if stated_curve(file) == "srgb" else shares
+
+
+def read_deep(file: Path) -> NDArray[np.float32]:
+    """Codes [h,w,3] of a picture of more than 8 bits, 1 = the largest code; before white where transparent.
+
+    Raises:
         ValueError: As `read_rgb`, or if it has not 16 bits.
     """
     if has_alpha(file):
-        shares = before_white(file)[0]
-    else:
-        pixels = read_image(file, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
-        if pixels.dtype != np.uint16:
-            raise ValueError(
-                f"{file} must hold 8- or 16-bit codes, got {pixels.dtype}: convert it to 16-bit PNG or TIFF"
-            )
-        refuse_mosaic(pixels, file)
-        shares = np.ascontiguousarray(pixels[..., ::-1]).astype(np.float32) / np.float32(65535)
-    return np.asarray(srgb_to_linear(shares), np.float32) if stated_curve(file) == "srgb" else shares
+        return before_white(file)[0]
+    pixels = read_image(file, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
+    if pixels.dtype != np.uint16:
+        raise ValueError(f"{file} must hold 8- or 16-bit codes, got {pixels.dtype}: convert it to 16-bit PNG or TIFF")
+    refuse_mosaic(pixels, file)
+    return np.ascontiguousarray(pixels[..., ::-1]).astype(np.float32) / np.float32(65535)
 
 
 def stated_curve(file: Path) -> Curve | None:

@@ -17,11 +17,12 @@ from sensor_model.files.door import resolved
 from sensor_model.files.reading import brief, some
 from simscenes.rigs import Rig
 from simscenes.sets.geometry.tracks import SparsePoints
-from simscenes.sets.readers.colmap_check import check_model, count_images, with_points
+from simscenes.sets.readers.colmap_check import Model, check_model, count_images, model_suffix, with_points
 from simscenes.sets.readers.finding import spelt
 from simscenes.sets.readers.photographs import DistortedPinhole, Photographs, check_pose, collect, rescaled
 from simscenes.sets.readers.resized import named_pictures, picture_folder
 
+SAME_POSE = 1e-5  # elements of one pose in two files differ by less: some programs write six digits
 MASKS = "masks"  # where COLMAP's users and trainers of Gaussians keep the areas to be left out of each picture
 
 
@@ -133,16 +134,37 @@ def read_reconstruction(model: Path) -> tuple[Any, dict[int, str]]:
         The model, and the name of each image by its number.
 
     Raises:
-        ValueError: If the model is damaged.
+        ValueError: If the model is damaged, or its frames give an image another pose than images does.
     """
     import pycolmap
 
-    names = check_model(model)
+    stated = check_model(model)
     try:
         with with_points(model) as whole:
-            return pycolmap.Reconstruction(str(whole)), names
+            found = pycolmap.Reconstruction(str(whole))
     except Exception as error:  # pycolmap raises several types, some of them its own
         raise ValueError(f"load_set: {model} is not a readable COLMAP model ({brief(error)})") from error
+    _check_frames(found, stated, model)
+    return found, stated.names
+
+
+def _check_frames(found: Any, stated: Model, model: Path) -> None:
+    """Poses are pycolmap's, from frames (COLMAP 3.12), which programs that know images alone leave unchanged."""
+    import pycolmap
+
+    apart = []
+    for number, image in sorted(found.images.items()):
+        turn, shift = np.split(np.array(stated.poses[number]), [4])
+        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(np.roll(turn, -1)), shift).matrix()  # pycolmap has w last
+        if image.has_pose and not np.allclose(image.cam_from_world().matrix(), pose, SAME_POSE, SAME_POSE):
+            apart.append(stated.names[number])
+    if apart:
+        suffix = model_suffix(model)
+        raise ValueError(
+            f"{model}: images.{suffix} and frames.{suffix} must give an image one pose, they differ for {len(apart)} "
+            f"of {len(found.images)} ({some(apart)}): a program that does not know frames may have written images "
+            f"alone; delete rigs.{suffix} and frames.{suffix} if images is right, else export the model again"
+        )
 
 
 def colmap_lens(camera: Any, width: int, height: int, source: Path) -> DistortedPinhole:

@@ -41,6 +41,7 @@ class Model:
     cameras: set[int] = field(default_factory=set)
     seen: dict[int, NDArray[np.uint64]] = field(default_factory=dict)  # image -> point (or NONE) of each 2D point
     names: dict[int, str] = field(default_factory=dict)
+    poses: dict[int, list[float]] = field(default_factory=dict)  # quaternion (w first) and translation, world to camera
     points: set[int] = field(default_factory=set)
 
     def add_camera(self, number: int, width: int, height: int, params: Any) -> None:
@@ -50,13 +51,14 @@ class Model:
         _require(np.isfinite(params).all(), f"has parameters that are not finite in camera {number}")
         self.cameras.add(number)
 
-    def add_image(self, number: int, camera: int, name: str, pose: Any, seen: NDArray[np.uint64]) -> None:
+    def add_image(self, number: int, camera: int, name: str, pose: list[float], seen: NDArray[np.uint64]) -> None:
         """An image; `pose` is quaternion and translation."""
         _require(number not in self.seen, f"has two images {number}")
         _require(camera in self.cameras, f"names camera {camera} in image {name!r}, which the file of cameras lacks")
         _require(np.isfinite(pose).all() and any(pose[:4]), f"has a pose that is not finite or zero in image {name!r}")
         self.seen[number] = seen
         self.names[number] = name
+        self.poses[number] = pose
 
     def add_points(self, numbers: NDArray[np.uint64], xyz: NDArray[np.float64], tracks: NDArray[Any]) -> None:
         """All points, and the elements of all their tracks."""
@@ -79,7 +81,7 @@ class Model:
         _require(not absent, f"shows point {absent[:1]} (and {len(absent) - 1} more) that points3D does not have")
 
 
-def check_model(folder: Path) -> dict[int, str]:
+def check_model(folder: Path) -> Model:
     """Refuse a model that is cut short, or whose parts do not belong together.
 
     Args:
@@ -87,7 +89,7 @@ def check_model(folder: Path) -> dict[int, str]:
             of no points may lack points3D.
 
     Returns:
-        The name of each image by its number. pycolmap ends a name in a text file at the first space.
+        Its entries. pycolmap ends a name in a text file at the first space.
 
     Raises:
         ValueError: Naming the file and its fault.
@@ -150,7 +152,7 @@ def _require(ok: bool | np.bool_, what: str) -> None:
         raise ValueError(what)
 
 
-def _read_binary(folder: Path) -> dict[int, str]:
+def _read_binary(folder: Path) -> Model:
     model = Model()
     steps: tuple[tuple[str, Callable[[_Bytes, Model], None]], ...] = (
         ("rigs", _rigs), ("cameras", _cameras), ("frames", _frames), ("images", _images), ("points3D", _points),
@@ -165,7 +167,7 @@ def _read_binary(folder: Path) -> dict[int, str]:
                     _require(data.left == 0, f"has {data.left} bytes after its last record")
     with reading(folder / "images.bin", REMEDY):
         model.check_observations()
-    return model.names
+    return model
 
 
 class _Bytes:
@@ -265,7 +267,7 @@ def _params_of(kind: int | str) -> int:
         raise ValueError(f"has the camera model {kind!r}, which pycolmap does not know") from error
 
 
-def _read_text(folder: Path) -> dict[int, str]:
+def _read_text(folder: Path) -> Model:
     model = Model()
     with reading(folder / "cameras.txt", REMEDY):
         for words in _lines(folder / "cameras.txt", "cameras"):
@@ -293,7 +295,7 @@ def _read_text(folder: Path) -> dict[int, str]:
                 _require(bool(_lines(path, part) or not model.names), f"is cut short: it has no {part}")
     with reading(folder / "images.txt", REMEDY):
         model.check_observations()
-    return model.names
+    return model
 
 
 def _lines(path: Path, what: str) -> list[list[str]]:

@@ -44,6 +44,16 @@ def listed_points(folder: Path) -> Path | None:
     return file if file is not None and file.is_file() else None
 
 
+def is_ours(folder: Path) -> bool:
+    """Whether nb-info.json says, as our writer does, that the cameras of a folder are in the frame of its COLMAP model.
+
+    nerfbaselines writes a file of that name into the data sets of others.
+    """
+    file = folder / "nb-info.json"
+    info = read_record(file, {"loader_kwargs?": (dict, None)}) if file.is_file() else {}
+    return info.get("id") == "novags" and "colmap_path" in (info.get("loader_kwargs") or {})
+
+
 def notes_on_points(content: dict[str, Any], source: Path) -> list[str]:
     """That points which lie beside a camera file are not read, and why.
 
@@ -52,7 +62,7 @@ def notes_on_points(content: dict[str, Any], source: Path) -> list[str]:
         source: The file.
     """
     folder = source.parent
-    if source.name not in SOURCES or (folder / "nb-info.json").is_file():
+    if source.name not in SOURCES or is_ours(folder):
         return []
     if named := content.get("ply_file_path"):
         found = listed_points(folder) is not None

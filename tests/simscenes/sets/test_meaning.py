@@ -258,6 +258,8 @@ def test_exr_files_of_several_parts_transparent_ones_and_codes_are_refused(tmp_p
     OpenEXR.File(EXR, {**light, "G": np.ones((12, 16), np.uint32)}).write(str(tmp_path / "c.exr"))
     with pytest.raises(ValueError, match=r"c\.exr must hold light as half or float numbers, got integers in G"):
         refuse_pixels(read_exr(tmp_path / "c.exr")[0], tmp_path / "c.exr")
+    with pytest.raises(ValueError, match=r"d\.exr must hold R, G, B and A at every pixel, got .*\(6, 8\)"):
+        refuse_pixels({**light, "A": np.ones((6, 8), np.float32)}, tmp_path / "d.exr")
 
 
 def textured(h: int = 96, w: int = 128) -> np.ndarray:

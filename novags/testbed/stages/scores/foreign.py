@@ -112,8 +112,8 @@ def score_renders(
     """Scores of the pictures in `folder` of all held-out views.
 
     Files of 8 bits are sRGB-encoded. Files of 16 bits and EXR files are encoded like the reference: sRGB-encoded values
-    for "lit" and "clean", linear light for "linear", the same for references of mosaics. EXR files with a channel Z
-    (and alpha) are scored in depth too.
+    for "lit" and "clean", linear light for "linear", the same for references of mosaics; files that state their curve
+    are read by it. EXR files with a channel Z (and alpha) are scored in depth too.
 
     Args:
         folder: Of the pictures.
@@ -139,7 +139,7 @@ def score_renders(
 
     def pictures() -> Any:
         for i, name in zip(truth.indices, truth.names, strict=True):
-            yield i, name, read_picture(renders.files[name], width, height)
+            yield i, name, read_picture(renders.files[name], width, height, linear=reference in LINEAR)
 
     kinds = sorted({picture.kind for _, _, picture in pictures()})  # all are read before anything is computed
     if dry.get():
@@ -170,7 +170,7 @@ def score_renders(
 
 
 def _gain(read: Callable[[int], Image], pictures: Callable[[], Any]) -> float:
-    pairs = ((picture.linear, read(i)) for i, _, picture in pictures())
+    pairs = ((picture.values, read(i)) for i, _, picture in pictures())
     return exposure_gain(pairs)
 
 
@@ -178,6 +178,6 @@ def _view(picture: ForeignPicture, truth: Image, gain: float | None, asked: Coll
     """Scores of one view; in linear light also those of the pictures that both would be shown as."""
     if gain is None:
         return dict(image_scores(picture.values, truth, asked))
-    light = picture.linear * np.float32(gain)
-    found = None if is_black(truth) else linear_psnr(picture.linear, truth, gain)
+    light = picture.values * np.float32(gain)
+    found = None if is_black(truth) else linear_psnr(picture.values, truth, gain)
     return {"linear_psnr": found, **image_scores(encode(light), encode(truth))}

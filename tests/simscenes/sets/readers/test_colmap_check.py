@@ -38,8 +38,8 @@ def model(binary: Path, tmp_path: Path) -> Path:
 
 
 def test_whole_models_pass_with_the_names_of_their_images(binary: Path, text: Path) -> None:
-    assert check_model(binary) == {1: "a.png", 2: "b c.png"}
-    assert check_model(text) == {1: "a.png", 2: "b c.png"}
+    assert check_model(binary).names == {1: "a.png", 2: "b c.png"}
+    assert check_model(text).names == {1: "a.png", 2: "b c.png"}
 
 
 @pytest.mark.parametrize("name", FILES)
@@ -66,7 +66,7 @@ def test_a_text_file_without_comments_is_whole_only_with_its_last_line_break(
     lines = (copy / f"{name}.txt").read_text().splitlines(keepends=True)
     plain = "".join(line for line in lines if not line.startswith("#"))
     (copy / f"{name}.txt").write_text(plain)
-    assert len(check_model(copy)) == 2
+    assert len(check_model(copy).names) == 2
     (copy / f"{name}.txt").write_text(plain[:-2])
     with pytest.raises(ValueError, match=rf"{name}\.txt: is cut short: its last line does not end"):
         check_model(copy)
@@ -84,7 +84,7 @@ def without_points(text: Path, folder: Path) -> Path:
 def test_a_file_of_points_without_a_byte_is_whole_where_no_picture_has_points(text: Path, tmp_path: Path) -> None:
     """Rationale: COLMAP's own instructions for known poses ask for one."""
     copy = without_points(text, tmp_path)
-    assert check_model(copy) == {1: "a.png", 2: "b c.png"}
+    assert check_model(copy).names == {1: "a.png", 2: "b c.png"}
     shutil.copyfile(text / "images.txt", copy / "images.txt")
     with pytest.raises(ValueError, match="that points3D does not have"):
         check_model(copy)
@@ -97,14 +97,14 @@ def test_blank_lines_between_images_are_no_images(points: str, blank: str, text:
     lines = [line for line in (copy / "images.txt").read_text().splitlines() if not line.startswith("#")]
     pairs = [f"{head}\n{seen}\n" for head, seen in zip(lines[::2], lines[1::2], strict=True)]
     (copy / "images.txt").write_text("".join(blank + pair for pair in pairs) + blank)
-    assert check_model(copy) == {1: "a.png", 2: "b c.png"}
+    assert check_model(copy).names == {1: "a.png", 2: "b c.png"}
     assert count_images(copy) == pycolmap.Reconstruction(str(copy)).num_images() == 2
 
 
 def test_names_in_a_text_file_keep_their_spaces(text: Path, tmp_path: Path) -> None:
     copy = Path(shutil.copytree(text, tmp_path / "spaces"))
     (copy / "images.txt").write_text((copy / "images.txt").read_text().replace("b c.png", "b  c \t d.png"))
-    assert check_model(copy)[2] == "b  c \t d.png"
+    assert check_model(copy).names[2] == "b  c \t d.png"
 
 
 @pytest.mark.parametrize("name", FILES)
@@ -161,3 +161,64 @@ def test_a_model_with_a_part_missing_says_which(model: Path) -> None:
     (model / "images.bin").unlink()
     with pytest.raises(ValueError, match=r"lacks images\.bin; download"):
         check_model(model)
+
+
+@pytest.mark.parametrize("kind", ["binary", "text"])
+def test_frames_that_place_an_image_elsewhere_than_images_do_are_refused(
+    kind: str, request: pytest.FixtureRequest, tmp_path: Path
+) -> None:
+    """Programs that know nothing of frames write images and points alone, turned and scaled."""
+    source: Path = request.getfixturevalue(kind)
+    model = Path(shutil.copytree(source, tmp_path / "model"))
+    turned = pycolmap.Reconstruction(str(source))
+    turned.transform(pycolmap.Sim3d(0.5, pycolmap.Rotation3d(np.array([0.5, 0.5, 0.5, 0.5])), np.array([0.0, 0, 1])))
+    other = tmp_path / "turned"
+    other.mkdir()
+    (turned.write_binary if kind == "binary" else turned.write_text)(str(other))
+    suffix = "bin" if kind == "binary" else "txt"
+    for part in ("images", "points3D"):
+        shutil.copyfile(other / f"{part}.{suffix}", model / f"{part}.{suffix}")
+    with pytest.raises(
+        ValueError, match=rf"images\.{suffix} and frames\.{suffix} .* differ for 2 of 2 \(a.png, b.*delete"
+    ):
+        colmap.read_reconstruction(model)
+    for part in ("rigs", "frames"):
+        (model / f"{part}.{suffix}").unlink()
+    for number, image in colmap.read_reconstruction(model)[0].images.items():
+        np.testing.assert_allclose(image.cam_from_world().matrix(), turned.images[number].cam_from_world().matrix())
+
+
+def test_images_of_a_rig_with_two_cameras_agree_with_its_frames(tmp_path: Path) -> None:
+    found, rig, frame = pycolmap.Reconstruction(), pycolmap.Rig(rig_id=1), pycolmap.Frame(frame_id=1, rig_id=1)
+    beside = pycolmap.Rigid3d(pycolmap.Rotation3d(np.array([0.1, 0.2, 0.3])), np.array([5e6, 2.0, 3.0]))
+    for i in (1, 2):
+        found.add_camera(pycolmap.Camera.create_from_model_id(i, pycolmap.CameraModelId.SIMPLE_PINHOLE, 50.0, 40, 30))
+    rig.add_ref_sensor(found.cameras[1].sensor_id)
+    rig.add_sensor(found.cameras[2].sensor_id, beside)
+    found.add_rig(rig)
+    images = [pycolmap.Image(name=f"{i}.png", camera_id=i, image_id=i, frame_id=1) for i in (1, 2)]
+    for image in images:
+        frame.add_data_id(image.data_id)
+    frame.rig_from_world = pycolmap.Rigid3d(pycolmap.Rotation3d(np.array([0.4, 0.5, 0.6])), np.array([7.0, 8.0, 9.0]))
+    found.add_frame(frame)
+    for image in images:
+        found.add_image(image)
+    found.register_frame(1)
+    found.write_binary(str(tmp_path))
+    assert len(colmap.read_reconstruction(tmp_path)[1]) == 2
+
+
+@pytest.mark.parametrize("frames", [True, False])
+def test_images_whose_poses_are_written_in_six_digits_agree_with_frames(
+    frames: bool, text: Path, tmp_path: Path
+) -> None:
+    model = Path(shutil.copytree(text, tmp_path / "model"))
+    for part in () if frames else ("rigs", "frames"):
+        (model / f"{part}.txt").unlink()
+    lines = (model / "images.txt").read_text().splitlines()
+    for k, line in enumerate(lines):
+        if line.endswith(".png"):
+            number, *words = line.split(maxsplit=8)
+            lines[k] = " ".join([number, *(f"{-float(w):.6f}" for w in words[:4]), *words[4:]])  # -q turns as q does
+    (model / "images.txt").write_text("\n".join(lines) + "\n")
+    assert len(colmap.read_reconstruction(model)[1]) == 2

@@ -195,7 +195,7 @@ def test_all_points_of_a_model_are_read_with_their_colours_and_tracks(text: bool
     model = with_tracks(tmp_path)
     if text:
         as_text(model)
-    assert sorted(check_model(model).values()) == ["0.png", "1.png"]
+    assert sorted(check_model(model).names.values()) == ["0.png", "1.png"]
     files = [tmp_path / "images" / f"{i}.png" for i in range(2)]
     found = read_points(tmp_path / "images", model, files, orbit_rig(2, 40, 30, 55, radius=2.0))
     assert found is not None

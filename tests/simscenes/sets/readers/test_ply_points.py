@@ -139,7 +139,13 @@ def test_points_of_another_frame_are_refused(tmp_path: Path) -> None:
         (None, "gone.ply", "names a file of first points that is not there (gone.ply)"),
     ],
 )
-def test_points_that_are_not_read_are_said(file: str | None, named: str | None, said: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("info", [None, "nerfstudio/poster", "novags"])
+def test_points_that_are_not_read_are_said(
+    file: str | None, named: str | None, said: str, info: str | None, tmp_path: Path
+) -> None:
+    """nerfbaselines writes nb-info.json into data sets of others, and ours without a model have one as well."""
+    if info is not None:
+        (tmp_path / "nb-info.json").write_text(json.dumps({"id": info, "loader": "nerfstudio", "loader_kwargs": None}))
     if file is not None:
         (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / file).write_bytes(ply("ascii"))
