@@ -7,6 +7,7 @@ one: its own stem where that is safe and nobody else's, else something close to 
 from __future__ import annotations
 
 import os
+import re
 import unicodedata
 from collections.abc import Sequence
 from pathlib import Path
@@ -73,6 +74,31 @@ def check_names(names: Sequence[str], count: int) -> None:
     if files != sorted(set(files)):
         raise ValueError(f"names must be different and sorted as file names (name.png), got {list(names)[:3]} ...: "
                          "sort names and cameras together")  # fmt: skip
+
+
+def check_order(names: Sequence[str], others: Sequence[str], what: str, whose: str) -> None:
+    """Refuse to pair by order where names have two: a9 is behind a10 by its letters, and before it by its number.
+
+    Args:
+        names: In the order of their letters.
+        others: As many, in the order of theirs.
+        what: The folder of the others, for the message.
+        whose: What has the names.
+
+    Raises:
+        ValueError: If the two orders pair differently.
+    """
+    by_numbers = dict(zip(sorted(names, key=_numbers_counted), sorted(others, key=_numbers_counted), strict=True))
+    for name, other in zip(names, others, strict=True):
+        if by_numbers[name] != other:
+            raise ValueError(
+                f"{what}: the order of the names does not say which picture belongs to {whose} {name}: {other} by "
+                f"their letters, {by_numbers[name]} by the numbers in them; give both the same names"
+            )
+
+
+def _numbers_counted(name: str) -> list[str | int]:
+    return [int(part) if k % 2 else part for k, part in enumerate(re.split(r"([0-9]+)", name))]
 
 
 def _folded(name: str) -> str:

@@ -1,5 +1,6 @@
 """Picture files as a camera or a converter left them: 8-bit sRGB, 16-bit linear or sRGB, camera raw."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, get_args
@@ -7,8 +8,8 @@ from typing import Literal, get_args
 import cv2
 import numpy as np
 
+from novags.testbed.folders.photographs.raw_files import BELOW, OVER, SOME, is_raw
 from novags.testbed.folders.photographs.raw_files import SUFFIXES as RAW
-from novags.testbed.folders.photographs.raw_files import is_raw
 from sensor_model.files.door import read_bytes
 from sensor_model.isp import srgb_to_linear
 from simscenes.sets.pictures.image_file import alpha_of, has_alpha, header, read_image, stated_curve
@@ -45,6 +46,30 @@ class Codes16:
             ValueError: If it is not an image.
         """
         return self if self.curve != "auto" else replace(self, curve=stated_curve(file) or "linear")
+
+    def refuse_above(self, codes: np.ndarray, file: Path) -> None:
+        """Raise ValueError if 16-bit codes are of a larger scale than the levels: they would be cut off at white."""
+        if codes.dtype == np.uint16 and (over := float((codes > OVER * self.white).mean())) > SOME:
+            raise ValueError(f"{file} must have codes up to --white {self.white:g}, got {over:.0%} above {OVER:g} "
+                             f"times that, up to {codes.max()}: its codes are probably of another scale; give the "
+                             "level that they have, or bring all files to one scale")  # fmt: skip
+
+    def for_twins(self, files: Sequence[Path]) -> "Codes16":
+        """The same for well-lit 16-bit files: with its levels if they are all on them, as of one camera, else with
+        those of full range, as of a converter.
+
+        Raises:
+            ValueError: As `read_stored`.
+        """
+        full = replace(self, black=Codes16.black, white=Codes16.white)
+        if self == full:
+            return self
+        lowest = self.black - BELOW * (self.white - self.black)
+        for file in files:
+            codes = read_stored(file)
+            if (codes < lowest).mean() > SOME or (codes > OVER * self.white).mean() > SOME:
+                return full
+        return self
 
     def linear(self, codes: np.ndarray) -> np.ndarray:
         """Linear light float32, 0 = black, 1 = white, of 8-bit sRGB codes or of 16-bit codes; not clipped at black."""

@@ -1,6 +1,7 @@
 """Lit or clean pictures of the views of a dark set: which file belongs to which view."""
 
-import re
+import warnings
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +15,8 @@ from novags.testbed.ledger.contents import folder_digest
 from sensor_model.files.door import resolved
 from sensor_model.files.reading import some
 from simscenes.sets.multiview import MultiviewSet, load_set
-from simscenes.sets.names import file_of, view_names
+from simscenes.sets.names import check_order, file_of, view_names
+from simscenes.sets.readers.bare import named_as_masks, without_masks
 from simscenes.sets.readers.colmap import find_colmap
 
 
@@ -64,15 +66,36 @@ def pictures_in(folder: Path) -> dict[str, Path]:
 def plain_pictures(folder: Path) -> list[Path]:
     """The pictures in images/ of a folder, else directly in it, in the order of their names; cameras have no say.
 
-    Hidden files are left out: an archive made on a Mac has one, ._NAME, for every picture.
+    Hidden files are left out: an archive made on a Mac has one, ._NAME, for every picture. So are masks that are named
+    like a picture.
 
     Raises:
-        ValueError: If neither folder has pictures.
+        ValueError: If neither folder has pictures, or two have one name.
     """
     for place in (folder / "images", folder):
         if files := sorted(file for file in place.glob("[!.]*") if file.suffix.lower() in PICTURES and file.is_file()):
-            return files
+            return _without_doubles(files)
     raise ValueError(f"{folder} holds no pictures ({', '.join(PICTURES)})")
+
+
+def _without_doubles(files: Sequence[Path]) -> list[Path]:
+    """The pictures among these; of two with one stem, one that shows a mask is left out."""
+    named = named_as_masks(files)
+    masks = set() if len(named) == len(files) else {*named}
+    alike = defaultdict[str, list[Path]](list)
+    for file in files:
+        alike[file.stem] += [] if file in masks else [file]
+    for stem, same in alike.items():
+        photographs, found = without_masks(same) if len(same) > 1 else (same, [])
+        if len(photographs) > 1:
+            both = " and ".join(file.name for file in photographs)
+            raise ValueError(f"{files[0].parent} has more than one picture of view {stem} ({both}): leave one kind of "
+                             "file there")  # fmt: skip
+        masks.update(found)
+    if masks:
+        warnings.warn(f"{len(masks)} masks beside the pictures of {files[0].parent} are not used "
+                      f"({some(sorted(file.name for file in masks))}): all pixels count", stacklevel=2)  # fmt: skip
+    return [file for file in files if file not in masks]
 
 
 def twins_of_lit_alone(dark: MultiviewSet) -> Twins:
@@ -117,28 +140,16 @@ def twins_of(dark: MultiviewSet, folder: Path, option: str, console: Console) ->
             f"({some(list(dark.names), 4)}), with no name in common: give them the same names, or as many, in the same "
             "order"
         )
-    _check_order(dark.names, tuple(found), f"{option} {folder}")
-    first = f"{dark.names[0]} with {next(iter(found.values())).name}"
-    console.warn(f"the pictures of {folder} have other names than the dark ones: paired by order, {first} and so on")
+    check_order(dark.names, tuple(found), f"{option} {folder}", "the dark view")
+    _say_order(folder, f"{dark.names[0]} with {next(iter(found.values())).name}", console)
     return Twins(folder, tuple(found.values()), "order")
 
 
-def _check_order(dark: Sequence[str], twins: Sequence[str], what: str) -> None:
-    """Refuse to pair by order where names have two: a9 is behind a10 by its letters, and before it by its number."""
-    by_numbers = dict(zip(sorted(dark, key=_numbers_counted), sorted(twins, key=_numbers_counted), strict=True))
-    for name, twin in zip(dark, twins, strict=True):
-        if by_numbers[name] != twin:
-            raise ValueError(
-                f"{what}: the order of the names does not say which picture belongs to the dark view {name}: {twin} by "
-                f"their letters, {by_numbers[name]} by the numbers in them; give them the names of the dark pictures"
-            )
+def _say_order(folder: Path, first: str, console: Console) -> None:
+    console.warn(f"the pictures of {folder} have other names than the dark ones: paired by order, {first} and so on")
 
 
-def _numbers_counted(name: str) -> list[str | int]:
-    return [int(part) if k % 2 else part for k, part in enumerate(re.split(r"([0-9]+)", name))]
-
-
-def twins_by_order(dark: MultiviewSet, folder: Path) -> Twins:
+def twins_by_order(dark: MultiviewSet, folder: Path, console: Console) -> Twins:
     """The picture in `folder` of each dark view where a data set pairs them by the order of their names alone.
 
     All dark pictures count, also without a camera: otherwise the order would shift.
@@ -146,16 +157,22 @@ def twins_by_order(dark: MultiviewSet, folder: Path) -> Twins:
     Args:
         dark: The dark set.
         folder: Of the twins.
+        console: Where notes go.
 
     Raises:
-        ValueError: If there are not as many as dark pictures.
+        ValueError: If there are not as many as dark pictures, or it is not clear which is whose.
     """
-    places = {file: i for i, file in enumerate(plain_pictures(dark.files[0].parent))}
-    found = plain_pictures(folder)
+    with warnings_as_notes(console):
+        places = {file: i for i, file in enumerate(plain_pictures(dark.files[0].parent))}
+        found = plain_pictures(folder)
     if len(found) != len(places):
         first, last = next(iter(places)).name, list(places)[-1].name
         raise ValueError(
             f"{folder} has {len(found)} pictures ({found[0].name} to {found[-1].name}), {dark.files[0].parent} "
             f"{len(places)} ({first} to {last}): this data set pairs them by order alone, so there must be as many"
         )
+    names = [file.name for file in places]
+    check_order(names, [file.name for file in found], str(folder), "the dark picture")
+    if [file.stem for file in places] != [file.stem for file in found]:
+        _say_order(folder, f"{names[0]} with {found[0].name}", console)
     return Twins(folder, tuple(found[places[file]] for file in dark.files), "order")

@@ -1,7 +1,8 @@
 """Import: dark photographs from elsewhere in, a capture folder out, with all truth there is about them."""
 
 import os
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,8 @@ from novags.testbed.folders.set import say_stated
 from novags.testbed.importing.clean import Match, match_clean, tone_gain
 from novags.testbed.importing.dark import Dark, open_dark
 from novags.testbed.importing.darkroom import Darkroom
-from novags.testbed.importing.exposures import OF_CLEAN, check_exposed_alike
+from novags.testbed.importing.exposures import OF_CLEAN, check_exposed_alike, exposure_doubts
+from novags.testbed.importing.pairs import pair_doubts
 from novags.testbed.importing.published.datasets import DATASETS, Dataset, dataset_of
 from novags.testbed.importing.published.realx3d import read_depth
 from novags.testbed.importing.raw_camera import raw_camera
@@ -110,7 +112,7 @@ def material_of(folder: Path, config: ImportConfig, console: Console) -> ImportI
         for path, option in ((config.lit, "--lit"), (config.clean, "--clean"))
     )
     if lit is None and dataset is not None and (place := dataset.lit(folder)) is not None:
-        lit = twins_by_order(views, place) if dataset.by_order else twins_of(views, place, "its", console)
+        lit = twins_by_order(views, place, console) if dataset.by_order else twins_of(views, place, "its", console)
     if clean is not None and views.lit_alone:
         raise ValueError(f"--clean needs a dark picture of every view, and {folder} has none of {len(views.lit_alone)} "
                          "held-out views: add --split every8, which leaves these out")  # fmt: skip
@@ -133,21 +135,24 @@ def prepare(material: ImportInput, config: ImportConfig, console: Console) -> Pr
     """Read every file once, so that nothing is cleared for files that cannot be imported, and match the long exposures.
 
     Raises:
-        ValueError: If a file cannot be read, is of another kind, size or exposure than the first, or shows nothing.
+        ValueError: If a file cannot be read, is of another kind, size or exposure than the first, is turned beside its
+            twin by a mark of orientation, or shows nothing.
     """
     dark = material.dark
     camera = raw_camera(dark.raws[0], config.camera, config.demosaic) if dark.raws else None
-    darkroom = Darkroom(views=dark.source.views, rig=dark.source.rig, codes=config.codes, camera=camera)
+    darkroom = Darkroom(views=dark.source.views, rig=dark.source.rig, codes=config.codes,
+                        lit_codes=config.codes, camera=camera)  # fmt: skip
     files = [(file, False) for group in (dark.dark_files, dark.raws) for file in group]
     given = [twins for twins in (material.lit, material.clean) if twins is not None]
     files += [(file, twins is material.lit) for twins in given for file in twins.there]
     total = len(files) + (len(dark.files) if material.clean else 0)
-    match, resampled, depths = None, 0, set[str]()
+    match, resampled, depths, lit16 = None, 0, set[str](), list[Path]()
     with console.progress("import: files") as progress:
         for done, (file, lit) in enumerate(files):
             depth, off = darkroom.check(file, lit=lit)
             resampled += off
             depths.add(depth)
+            lit16 += [file] if lit and depth == "16bit" else []
             if done < len(dark.dark_files) and depth != dark.depth:
                 raise ValueError(f"{file} is {depth}, {dark.dark_files[0].name} {dark.depth}: import files of one kind")
             progress(done + 1, total, file.name)
@@ -159,12 +164,18 @@ def prepare(material: ImportInput, config: ImportConfig, console: Console) -> Pr
             check_exposed_alike(group)
     if material.clean is not None:
         check_exposed_alike(material.clean.there, OF_CLEAN)
+    if material.lit is not None:
+        for doubt in exposure_doubts(material.lit.there):
+            console.warn(f"{material.lit.folder}: {doubt}")
     if resampled:
         console.warn(f"{resampled} of {len(dark.files)} lit pictures are a pixel larger or smaller than the dark ones: "
                      "resampled to their size")  # fmt: skip
     if "16bit" not in depths:
         _say_no_codes(config.codes, console)
-    _say(dark, darkroom, config, match, console)
+    if lit16:
+        darkroom = replace(darkroom, lit_codes=config.codes.for_twins(lit16))
+        _say_codes("well-lit 16-bit files", darkroom.lit_codes, lit16, console)
+    _say(dark, given, darkroom, config, match, console)
     return PreparedImport(darkroom, match, resampled)
 
 
@@ -185,6 +196,14 @@ def _say_no_codes(codes: Codes16, console: Console) -> None:
         console.warn(f"no picture here has 16 bits, so these options have no effect: {', '.join(given)}")
 
 
+def _say_codes(what: str, codes: Codes16, files: Sequence[Path], console: Console) -> None:
+    """How 16-bit files are read."""
+    curves = dict.fromkeys(codes.of(file).curve for file in files)
+    says = ", as the files say" if codes.curve == "auto" and {*curves} != {"linear"} else ""
+    console.note(f"import: {what}: code {codes.black:g} is black, {codes.white:g} white, {' or '.join(curves)} in "
+                 f"between{says} (--black, --white, --curve)")  # fmt: skip
+
+
 def _say_spaced(file: Path, console: Console) -> None:
     """Say that codes stand apart, as those of fewer bits do that are stored at the top of 16."""
     codes = np.unique(read_stored(file))
@@ -195,7 +214,8 @@ def _say_spaced(file: Path, console: Console) -> None:
                      "the camera's own")  # fmt: skip
 
 
-def _say(dark: Dark, darkroom: Darkroom, config: ImportConfig, match: Match | None, console: Console) -> None:
+def _say(dark: Dark, given: Sequence[Twins], darkroom: Darkroom, config: ImportConfig, match: Match | None,
+         console: Console) -> None:  # fmt: skip
     """Assumptions about the photographs, and losses in the import."""
     if alone := dark.source.views.lit_alone:
         console.note(f"import: {len(alone)} held-out views are known in good light only: they are scored, and have no "
@@ -207,13 +227,9 @@ def _say(dark: Dark, darkroom: Darkroom, config: ImportConfig, match: Match | No
         say_stated(file, dark.source.views.path, console)
     for doubt in dark.source.picture_doubts(lambda i: darkroom.srgb8(dark.files[i], i)):
         console.warn(f"{dark.source.views.path}: {doubt}")
+    _say_pairs(dark, given, darkroom, console)
     if dark.depth == "16bit":
-        curves = dict.fromkeys(config.codes.of(file).curve for file in dark.dark_files)
-        says = ", as the files say" if config.curve == "auto" and {*curves} != {"linear"} else ""
-        console.note(
-            f"import: 16-bit files: code {config.black:g} is black, {config.white:g} white, {' or '.join(curves)} in "
-            f"between{says} (--black, --white, --curve)"
-        )
+        _say_codes("16-bit files", config.codes, dark.dark_files, console)
         _say_spaced(dark.dark_files[0], console)
     if darkroom.resampled and (dark.raws or config.camera):
         kept = "no raw frames" if dark.raws else ""
@@ -227,6 +243,17 @@ def _say(dark: Dark, darkroom: Darkroom, config: ImportConfig, match: Match | No
         console.note(f"import: the dark pictures have {match.gain:.4g} times the light of the clean ones")
         if match.white_share > 0.001:
             console.warn(f"{match.white_share:.1%} of the clean pictures is white, where they are too dark a reference")
+
+
+def _say_pairs(dark: Dark, given: Sequence[Twins], darkroom: Darkroom, console: Console) -> None:
+    """Doubts whether twins, and pictures beside raw files, show their views."""
+    own = dark.raws or dark.files
+    pairs = [(twins.folder, own, twins.files) for twins in given]
+    for folder, ones, others in [*pairs, (dark.source.views.path, own, dark.files)]:
+        both = {i: (one, other) for i, (one, other) in enumerate(zip(ones, others, strict=True))
+                if other not in (None, one) and i not in dark.source.views.lit_alone}  # fmt: skip
+        for doubt in pair_doubts(both, darkroom.small):
+            console.warn(f"{folder}: {doubt}")
 
 
 def held_out_brighter(dark: Dark, darkroom: Darkroom) -> float:

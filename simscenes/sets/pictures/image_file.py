@@ -241,6 +241,23 @@ def stated_curve(file: Path) -> Curve | None:
         return curve_of(file, image)
 
 
+def orientation_of(file: Path) -> int | None:
+    """The mark of orientation (EXIF) of a picture, 1 where it has none; None of raw files that are no TIFF inside.
+
+    Raises:
+        OSError: If it cannot be read.
+    """
+    try:
+        if (tag := tiff_tags(file).get(ORIENTATION)) is not None:
+            mark: Any = tag.values[0]
+        else:
+            with header(file) as image:
+                mark = image.getexif().get(ORIENTATION)
+    except ValueError:
+        return None
+    return mark if mark in range(1, 9) else AS_STORED
+
+
 def before_white(file: Path) -> tuple[NDArray[np.float32], int]:
     """A picture that `has_alpha` before a white background, mixed as codes are: [h,w,3] in 0..1, and its bits, 8 or 16.
 

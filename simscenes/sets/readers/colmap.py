@@ -18,7 +18,7 @@ from sensor_model.files.reading import brief, some
 from simscenes.rigs import Rig
 from simscenes.sets.geometry.tracks import SparsePoints
 from simscenes.sets.readers.colmap_check import Model, check_model, count_images, model_suffix, with_points
-from simscenes.sets.readers.finding import spelt
+from simscenes.sets.readers.finding import find_files, spelt
 from simscenes.sets.readers.photographs import DistortedPinhole, Photographs, check_pose, collect, rescaled
 from simscenes.sets.readers.resized import named_pictures, picture_folder
 
@@ -62,6 +62,11 @@ def read_colmap(folder: Path, model: Path) -> Photographs:
     names, viewmats, cameras = colmap_views(model)
     pictures = picture_folder(folder)
     files = named_pictures(pictures, names)
+    there = [(name, file) for name, file in zip(names, files, strict=True) if file is not None]
+    if pictures.name != "images" and there and not any(find_files(pictures, names)):
+        name, file = min(there)
+        warnings.warn(f"load_set: the pictures of {pictures} have other names than the images of {model}: paired by "
+                      f"order, {name} with {file.name} and so on", stacklevel=3)  # fmt: skip
     below = [f"{pictures.name}/{name}" for name in names]
     if next((folder / MASKS).glob("*"), None) is not None:
         warnings.warn(f"load_set: {folder / MASKS} is not used: all pixels count", stacklevel=3)

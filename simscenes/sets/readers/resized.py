@@ -6,6 +6,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
+from simscenes.sets.names import check_order
 from simscenes.sets.readers.bare import SUFFIXES
 from simscenes.sets.readers.finding import find_files
 
@@ -34,6 +35,9 @@ def named_pictures(pictures: Path, names: Sequence[str]) -> list[Path | None]:
     Args:
         pictures: The folder of the pictures.
         names: Relative to images/.
+
+    Raises:
+        ValueError: If names have another order by their numbers than by their letters.
     """
     found = find_files(pictures, names)
     if any(found) or pictures.name == "images":
@@ -42,4 +46,5 @@ def named_pictures(pictures: Path, names: Sequence[str]) -> list[Path | None]:
     if len(files) != len(names):
         return found
     place = {name: i for i, name in enumerate(sorted(names))}
+    check_order(list(place), [file.name for file in files], str(pictures), "the image")
     return [files[place[name]] for name in names]

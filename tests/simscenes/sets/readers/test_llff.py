@@ -41,7 +41,8 @@ def test_a_colmap_model_finds_its_shrunk_and_renumbered_pictures_by_order(tmp_pa
     colmap(tmp_path / "sparse" / "0", names, RIG)
     for i in range(VIEWS):
         write_png(tmp_path / "images_2" / f"image{i:03d}.png", dark_picture(i)[::2, ::2])
-    views = load_set(tmp_path)
+    with pytest.warns(UserWarning, match="other names than the images of .* order, DSC90.png with image000.png and so"):
+        views = load_set(tmp_path)
     np.testing.assert_array_equal(views.image(5), dark_picture(5)[::2, ::2])
     assert np.abs(views.rig.viewmats - RIG.viewmats).max() < 1e-9
     assert np.abs(views.rig.Ks[:, :2] - RIG.Ks[:, :2] / 2).max() < 1e-9
@@ -55,6 +56,17 @@ def test_a_colmap_model_finds_its_shrunk_and_renumbered_pictures_by_order(tmp_pa
     write_png(tmp_path / "images" / "image008.png", dark_picture(8))
     with pytest.raises(ValueError, match="none of the 9 images listed in .* exists"):
         load_set(tmp_path)  # in images/ names are what the model says
+
+
+def test_shrunk_pictures_are_not_paired_by_order_where_names_have_two(tmp_path: Path) -> None:
+    """Rationale: numbered in the order of taking, 0000.png is of IMG_4, and by letters of IMG_10."""
+    colmap(tmp_path / "sparse" / "0", sorted(f"IMG_{4 + i}.png" for i in range(VIEWS)), RIG)
+    for i in range(VIEWS):
+        write_png(tmp_path / "images_2" / f"{i:04d}.png", dark_picture(i)[::2, ::2])
+    with pytest.raises(
+        ValueError, match=r"images_2: .* the image IMG_10.png: 0000.png by their letters, 0006.png by the"
+    ):
+        load_set(tmp_path)
 
 
 def spoilt(rows: np.ndarray, at: tuple[int, int], value: float) -> np.ndarray:
