@@ -15,7 +15,7 @@ from novags.cameras.doubts import camera_doubts, few_views, lens_doubts, same_ph
 from novags.numbers import SSIM_WINDOW
 from novags.testbed.console.terminal import Console, warnings_as_notes
 from novags.testbed.folders.exchanged import refuse_exchanged
-from novags.testbed.folders.photographs.raw_files import is_raw, skipped_steps
+from novags.testbed.folders.photographs.raw_files import is_raw, read_colors, skipped_steps
 from novags.testbed.ledger.contents import folder_digest, read_json
 from sensor_model.files.door import enter
 from sensor_model.files.reading import some
@@ -302,6 +302,7 @@ def source_of(views: MultiviewSet, console: Console, max_size: int | None = None
         seen = np.bincount(held.view, minlength=len(views)).tolist() if held is not None and tracked else None
         for doubt in [*doubts, *camera_doubts(views.names, views.rig.viewmats, focals, points=points, seen=seen)]:
             console.warn(f"{path}: {doubt}")
+        say_balances(views.files, console)
     if missing := left_out(views.unregistered, len(views) + len(views.unregistered)):
         console.warn(missing)
     rig = views.rig if max_size is None else scaled_rig(views.rig, max_size)
@@ -327,6 +328,16 @@ def say_stated(file: Path, folder: Path, console: Console) -> None:
     if is_raw(file) and (steps := skipped_steps(file)):
         console.warn(f"raw files of {folder} ask for {', '.join(steps)} and let readers pass over it: that is not "
                      "done, so that light and lens are those of the sensor")  # fmt: skip
+
+
+def say_balances(files: Sequence[Path], console: Console) -> None:
+    """Say that raw files state several white balances or colour matrices, and whose count for all."""
+    stated = [(file, read_colors(file)) for file in files if is_raw(file)]
+    if other := next((file for file, colors in stated if not colors.alike(stated[0][1])), None):
+        first = stated[0][0]
+        console.warn(f"raw files of {first.parent} state several white balances or colour matrices ({other.name} other "
+                     f"ones than {first.name}), as cameras with automatic white balance do: those of {first.name} "
+                     "count for all")  # fmt: skip
 
 
 NAMED = 20  # photographs that a line of the console names

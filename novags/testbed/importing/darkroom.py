@@ -5,7 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from novags.testbed.folders.photographs.linear import part_of, within_margins
+from novags.testbed.folders.photographs.linear import part_of, shrunk_by, within_margins
+from novags.testbed.folders.photographs.raw_colors import RawColors
 from novags.testbed.folders.photographs.raw_files import is_raw, place_of, read_digital_numbers, read_radiance, size
 from novags.testbed.importing.raw_camera import RawCamera
 from novags.testbed.importing.stored import Codes16, Depth, read_stored, refuse_transparent
@@ -27,6 +28,7 @@ class Darkroom:
         codes: The meaning of 16-bit codes.
         lit_codes: The same of well-lit twins.
         camera: Of raw files; None without any.
+        lit_colors: Of all well-lit raw files; None without any.
     """
 
     views: MultiviewSet
@@ -34,6 +36,7 @@ class Darkroom:
     codes: Codes16
     lit_codes: Codes16
     camera: RawCamera | None
+    lit_colors: RawColors | None
 
     @property
     def resampled(self) -> str | None:
@@ -89,14 +92,15 @@ class Darkroom:
         return self._shown(self._cut(read_stored(file), file), self.codes.of(file), i)
 
     def lit8(self, file: Path, i: int) -> np.ndarray:
-        """A well-lit picture of view `i`, uint8 [h,w,3]; a raw file as LibRaw develops it, with its own balance.
+        """A well-lit picture of view `i`, uint8 [h,w,3]; a raw file as LibRaw develops it, in the lit ones' balance.
 
         Raises:
             ValueError: As `linear`.
         """
         if not is_raw(file):
             return self._shown(self._level(read_stored(file), file), self.lit_codes.of(file), i)
-        return np.asarray(to_srgb8(self._fit(self._undistort(self._cut(read_radiance(file), file), i))))
+        light = self._cut(read_radiance(file, self.lit_colors), file)
+        return np.asarray(to_srgb8(self._fit(self._undistort(light, i))))
 
     def small(self, file: Path) -> np.ndarray:
         """A picture as stored, of the part that its view shows, gray and shrunk, [h,w]: codes, of any curve.
@@ -153,7 +157,7 @@ class Darkroom:
         height, width = image.shape[:2]
         if (width, height) == (rig.width, rig.height):
             return image
-        if is_raw(file) and within_margins((width, height), (rig.width, rig.height)):
+        if is_raw(file) and within_margins(file, (width, height), (rig.width, rig.height)):
             return part_of(image, file, rig.height, rig.width)
         raise ValueError(
             f"{file} must be {rig.width} x {rig.height} px like the pictures that {self.views.path} has cameras of, "
@@ -179,9 +183,8 @@ def _cells(codes: np.ndarray) -> np.ndarray:
 
 
 def _shrunk(found: tuple[int, int], wanted: tuple[int, int]) -> str:
-    """The likely cause, where one size is a whole multiple of the other."""
-    times = found[0] // max(wanted[0], 1)
-    if times < 2 or found != (times * wanted[0], times * wanted[1]):
+    """The likely cause, where both have one shape."""
+    if (times := shrunk_by(found, wanted)) == 1:
         return ""
-    return (f": the pictures with cameras are probably shrunk by {times}; give cameras for {found[0]} x {found[1]} px, "
-            "with pictures of that size")  # fmt: skip
+    return (f": the pictures with cameras are probably shrunk by {times:.3g}; give cameras for {found[0]} x {found[1]} "
+            "px, with pictures of that size")  # fmt: skip

@@ -16,6 +16,11 @@ OF_EXR = "expTime", "isoSpeed", "aperture"  # OpenEXR's standard attributes
 OF_VIEWS = "all views must be exposed alike. Import photographs that are, or give --time SECONDS, which counts for all"
 OF_CLEAN = ("all clean exposures must be exposed alike, because one factor brings them to the light of the dark "
             "pictures: give some that are, or leave out --clean")  # fmt: skip
+OF_FRAMES = ("dark and flat frames must be of the camera's one ISO, as gain and noise are: give such frames, or "
+             "correct the name of their folder")  # fmt: skip
+OF_CAMERA = ("gain and noise are of one ISO: give the camera at that of the pictures (a preset, or FILE.toml@ISO), or "
+             "leave out --sensor")  # fmt: skip
+LARGEST_ISO = 65535  # that EXIF holds: cameras state it for all above
 
 
 def check_exposed_alike(files: Sequence[Path], rule: str = OF_VIEWS) -> None:
@@ -38,6 +43,27 @@ def check_exposed_alike(files: Sequence[Path], rule: str = OF_VIEWS) -> None:
                 raise ValueError(
                     f"{file.name} states the {what} {value:g} {unit}".rstrip() + f", {name.name} {other:g}: {rule}"
                 )
+
+
+def check_iso(files: Sequence[Path], rule: str, iso: float | None = None, of: str = "") -> float | None:
+    """The ISO speed of pictures, None where neither a file nor anything else says it.
+
+    Args:
+        files: The pictures.
+        rule: The rule they break, for the message.
+        iso: The speed that they must have; None: the first file's.
+        of: What has it, for the message.
+
+    Raises:
+        ValueError: If a file states another one.
+    """
+    for file in files:
+        if (stated := stated_of(file)[1]) is None:
+            continue
+        iso, of = (stated, str(file)) if iso is None else (iso, of)
+        if abs(stated - min(iso, LARGEST_ISO)) > ALIKE * iso:
+            raise ValueError(f"{file} states the ISO speed {stated:g}, {of} {iso:g}: {rule}")
+    return iso
 
 
 def exposure_doubts(files: Sequence[Path]) -> list[str]:

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
+from novags.testbed.folders.photographs.raw_colors import ALIKE
 from novags.testbed.folders.photographs.raw_files import RawFormat, read_digital_numbers, read_format
 from sensor_model.isp import Demosaic, develop_linear
 from sensor_model.params import CFAS, Cfa, Sensor
 
-ALIKE = 1e-4  # of a white balance: files keep it as float32
 BLACK_SHARE, WHITE_SHARE = 0.01, 0.1  # of the range of codes by which a camera's model may differ from its files
 
 

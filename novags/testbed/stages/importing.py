@@ -12,11 +12,12 @@ from novags.testbed.console.terminal import Console
 from novags.testbed.folders import capture as capture_folder
 from novags.testbed.folders.capture import has_view
 from novags.testbed.folders.imported import SCAN, write_clean, write_depth
-from novags.testbed.folders.set import say_stated
+from novags.testbed.folders.photographs.raw_files import first_colors
+from novags.testbed.folders.set import say_balances, say_stated
 from novags.testbed.importing.clean import Match, match_clean, tone_gain
 from novags.testbed.importing.dark import Dark, open_dark
 from novags.testbed.importing.darkroom import Darkroom
-from novags.testbed.importing.exposures import OF_CLEAN, check_exposed_alike, exposure_doubts
+from novags.testbed.importing.exposures import OF_CAMERA, OF_CLEAN, check_exposed_alike, check_iso, exposure_doubts
 from novags.testbed.importing.pairs import pair_doubts
 from novags.testbed.importing.published.datasets import DATASETS, Dataset, dataset_of
 from novags.testbed.importing.published.realx3d import read_depth
@@ -140,8 +141,10 @@ def prepare(material: ImportInput, config: ImportConfig, console: Console) -> Pr
     """
     dark = material.dark
     camera = raw_camera(dark.raws[0], config.camera, config.demosaic) if dark.raws else None
-    darkroom = Darkroom(views=dark.source.views, rig=dark.source.rig, codes=config.codes,
-                        lit_codes=config.codes, camera=camera)  # fmt: skip
+    darkroom = Darkroom(
+        views=dark.source.views, rig=dark.source.rig, codes=config.codes, lit_codes=config.codes, camera=camera,
+        lit_colors=None if material.lit is None else first_colors(material.lit.there),
+    )  # fmt: skip
     files = [(file, False) for group in (dark.dark_files, dark.raws) for file in group]
     given = [twins for twins in (material.lit, material.clean) if twins is not None]
     files += [(file, twins is material.lit) for twins in given for file in twins.there]
@@ -162,6 +165,8 @@ def prepare(material: ImportInput, config: ImportConfig, console: Console) -> Pr
     if config.time is None:
         for group in dict.fromkeys((dark.dark_files, dark.raws)):  # raw files alone are both
             check_exposed_alike(group)
+    if config.iso is not None:
+        check_iso((*dark.dark_files, *dark.raws), OF_CAMERA, config.iso, f"--sensor {config.sensor_name}")
     if material.clean is not None:
         check_exposed_alike(material.clean.there, OF_CLEAN)
     if material.lit is not None:
@@ -175,7 +180,7 @@ def prepare(material: ImportInput, config: ImportConfig, console: Console) -> Pr
     if lit16:
         darkroom = replace(darkroom, lit_codes=config.codes.for_twins(lit16))
         _say_codes("well-lit 16-bit files", darkroom.lit_codes, lit16, console)
-    _say(dark, given, darkroom, config, match, console)
+    _say(material, darkroom, config, match, console)
     return PreparedImport(darkroom, match, resampled)
 
 
@@ -214,9 +219,13 @@ def _say_spaced(file: Path, console: Console) -> None:
                      "the camera's own")  # fmt: skip
 
 
-def _say(dark: Dark, given: Sequence[Twins], darkroom: Darkroom, config: ImportConfig, match: Match | None,
-         console: Console) -> None:  # fmt: skip
+def _say(
+    material: ImportInput, darkroom: Darkroom, config: ImportConfig, match: Match | None, console: Console
+) -> None:
     """Assumptions about the photographs, and losses in the import."""
+    dark = material.dark
+    for group in (dark.raws, () if material.lit is None else material.lit.there):
+        say_balances(group, console)
     if alone := dark.source.views.lit_alone:
         console.note(f"import: {len(alone)} held-out views are known in good light only: they are scored, and have no "
                      "dark picture")  # fmt: skip
@@ -227,7 +236,7 @@ def _say(dark: Dark, given: Sequence[Twins], darkroom: Darkroom, config: ImportC
         say_stated(file, dark.source.views.path, console)
     for doubt in dark.source.picture_doubts(lambda i: darkroom.srgb8(dark.files[i], i)):
         console.warn(f"{dark.source.views.path}: {doubt}")
-    _say_pairs(dark, given, darkroom, console)
+    _say_pairs(material, darkroom, console)
     if dark.depth == "16bit":
         _say_codes("16-bit files", config.codes, dark.dark_files, console)
         _say_spaced(dark.dark_files[0], console)
@@ -245,10 +254,11 @@ def _say(dark: Dark, given: Sequence[Twins], darkroom: Darkroom, config: ImportC
             console.warn(f"{match.white_share:.1%} of the clean pictures is white, where they are too dark a reference")
 
 
-def _say_pairs(dark: Dark, given: Sequence[Twins], darkroom: Darkroom, console: Console) -> None:
+def _say_pairs(material: ImportInput, darkroom: Darkroom, console: Console) -> None:
     """Doubts whether twins, and pictures beside raw files, show their views."""
+    dark = material.dark
     own = dark.raws or dark.files
-    pairs = [(twins.folder, own, twins.files) for twins in given]
+    pairs = [(twins.folder, own, twins.files) for twins in (material.lit, material.clean) if twins is not None]
     for folder, ones, others in [*pairs, (dark.source.views.path, own, dark.files)]:
         both = {i: (one, other) for i, (one, other) in enumerate(zip(ones, others, strict=True))
                 if other not in (None, one) and i not in dark.source.views.lit_alone}  # fmt: skip

@@ -57,7 +57,8 @@ def is_shifted(light: NDArray[np.generic], cfa: str, least: float) -> bool:
         cfa: The filters as they are said, row by row.
         least: What the two places of green differ by in any camera, in the unit of `light`.
     """
-    places = [_blocks(light[y::2, x::2], SIDE // 2).mean((1, 2)) for y in (0, 1) for x in (0, 1)]
+    even = light[: light.shape[0] // 2 * 2, : light.shape[1] // 2 * 2]  # as many pixels of each place
+    places = [_blocks(even[y::2, x::2], SIDE // 2).mean((1, 2)) for y in (0, 1) for x in (0, 1)]
     green = [place for place, color in zip(places, cfa, strict=True) if color == "G"]
     other = [place for place, color in zip(places, cfa, strict=True) if color != "G"]
     if min(map(len, places)) < BLOCKS or len(green) != len(other):

@@ -4,6 +4,7 @@ Readers of 8-bit photographs are in `simscenes.sets.multiview`; this one takes t
 kind of set, one file in memory at a time.
 """
 
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -13,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from novags.testbed.folders.photographs import raw_files
+from novags.testbed.folders.photographs.raw_colors import RawColors
 from sensor_model.isp import to_srgb8
 from simscenes.rigs import opengl_to_opencv
 from simscenes.sets.multiview import MultiviewSet
@@ -32,6 +34,9 @@ from simscenes.sets.readers.photographs import (
 )
 
 SUFFIXES = (".exr", *raw_files.SUFFIXES)
+# A raw file this many times as large as a picture of the same shape is no frame around it: margins have some dozen px,
+# and as many on each side, which changes the shape. Sides that are rounded to pixels have ratios that differ a little.
+LARGER, SAME_SHAPE = 1.01, 0.001
 WHITE_QUANTILE = 0.99  # of an EXR image's light, whose unit is unknown, becomes white in its 8-bit picture
 
 
@@ -39,9 +44,11 @@ WHITE_QUANTILE = 0.99  # of an EXR image's light, whose unit is unknown, becomes
 class LinearPhotographs(MultiviewSet):
     """Posed images with linear pixels. Of a raw file 1.0 is the white level; an EXR file has any unit."""
 
+    colors: RawColors | None = None  # of all raw files; None: of each its own
+
     def radiance(self, i: int) -> np.ndarray:
         """Linear RGB of view `i`, float32 [h,w,3], undistorted."""
-        light = part_of(read_linear(self.files[i]), self.files[i], self.rig.height, self.rig.width)
+        light = part_of(read_linear(self.files[i], self.colors), self.files[i], self.rig.height, self.rig.width)
         return light if self.lenses is None else self.lenses[i].undistort(light, self.rig.Ks[i])
 
     def image(self, i: int) -> np.ndarray:
@@ -67,7 +74,7 @@ def load_linear_set(folder: Path) -> LinearPhotographs | None:
         raise ValueError(f"the images of {model.source} must share one size, got {sorted(sizes)}")
     size = sizes.pop()
     if raw_files.is_raw(files[0]):
-        size = _without_margins(size, model.size(model.cameras[next(iter(there.values()))]))
+        size = _without_margins(files[0], size, model.size(model.cameras[next(iter(there.values()))]))
     rig, lenses = rig_of(there.values(), model.viewmats, model.cameras, model.source, model.lens, size)
     return LinearPhotographs(
         path=folder,
@@ -78,6 +85,7 @@ def load_linear_set(folder: Path) -> LinearPhotographs | None:
         files=files,
         held_out=held_out(files, model.tested, model.source),
         lenses=lenses if any(any(lens.distortion) for lens in lenses) else None,
+        colors=raw_files.first_colors(files),
     )
 
 
@@ -157,15 +165,15 @@ def find_linear(folder: Path, name: str, places: tuple[str, ...] = ("images", "r
     return next((path for path in tried if path.is_file()), None)
 
 
-def read_linear(file: Path) -> np.ndarray:
-    """Linear RGB of a raw or EXR file, float32 [h,w,3].
+def read_linear(file: Path, colors: RawColors | None = None) -> np.ndarray:
+    """Linear RGB of a raw (see `read_radiance`) or EXR file, float32 [h,w,3].
 
     Raises:
         ValueError: If the file cannot be read, or is an EXR that is not one whole opaque picture with R, G and B in
             linear sRGB (see `exr_meaning`).
     """
     if raw_files.is_raw(file):
-        return raw_files.read_radiance(file)
+        return raw_files.read_radiance(file, colors)
     refuse_foreign(file)
     channels, _ = read_exr(file)
     if not {"R", "G", "B"} <= channels.keys():
@@ -182,15 +190,28 @@ def _size(file: Path) -> tuple[int, int]:
     return int(high[0] - low[0] + 1), int(high[1] - low[1] + 1)
 
 
-def _without_margins(size: tuple[int, int], stated: tuple[float | None, float | None]) -> tuple[int, int]:
+def _without_margins(file: Path, size: tuple[int, int], stated: tuple[float | None, float | None]) -> tuple[int, int]:
     """Raw files show some pixels around the camera's own pictures, from which poses are usually estimated."""
     width, height = (whole if part is None else int(part) for whole, part in zip(size, stated, strict=True))
-    return (width, height) if within_margins(size, (width, height)) else size
+    if within_margins(file, size, (width, height)):
+        return width, height
+    if (times := shrunk_by(size, (width, height))) > 1:
+        warnings.warn(f"raw files of {file.parent} are {size[0]} x {size[1]} px, {times:.3g} times the {width} x "
+                      f"{height} px of their cameras and of the same shape: the pictures with cameras count as shrunk "
+                      "by that, not as cut out of the middle", stacklevel=4)  # fmt: skip
+    return size
 
 
-def within_margins(whole: tuple[int, int], part: tuple[int, int]) -> bool:
-    """Whether a picture of size `part` can be the middle of a raw frame of size `whole`."""
-    return all(0.95 * outer <= inner <= outer for outer, inner in zip(whole, part, strict=True))
+def within_margins(file: Path, whole: tuple[int, int], part: tuple[int, int]) -> bool:
+    """Whether a picture of size `part` is cut out of a raw frame of size `whole`, and not shrunk from it."""
+    inside = all(0.95 * outer <= inner <= outer for outer, inner in zip(whole, part, strict=True))
+    return inside and (shrunk_by(whole, part) == 1 or raw_files.crop_of(file, whole[::-1], *part[::-1]) is not None)
+
+
+def shrunk_by(whole: tuple[int, int], part: tuple[int, int]) -> float:
+    """How many times as large as a picture of the same shape another one is; 1 where it is no larger."""
+    x, y = (outer / max(inner, 1) for outer, inner in zip(whole, part, strict=True))
+    return x if x > LARGER and abs(x / y - 1) < SAME_SHAPE else 1.0
 
 
 def part_of(light: np.ndarray, file: Path, height: int, width: int) -> np.ndarray:

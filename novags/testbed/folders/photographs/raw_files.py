@@ -1,6 +1,6 @@
 """Camera raw files (DNG, NEF, CR2, ARW ...) through LibRaw: the mosaic as read out, or developed linear RGB."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +10,8 @@ import cv2
 import numpy as np
 
 from novags.testbed.folders.photographs.dng_meaning import EVEN, read_dng
-from sensor_model.files.dng import SMALLEST, XYZ_TO_SRGB
+from novags.testbed.folders.photographs.raw_colors import RawColors, colors_of
+from sensor_model.files.dng import SMALLEST
 from sensor_model.files.door import PICTURE, admitted
 from sensor_model.files.reading import brief
 from sensor_model.isp import interpolate
@@ -26,7 +27,6 @@ OVER, SOME, BELOW = 1.5, 0.02, 0.02
 DARK, SQUARE = 0.05, 8  # share of the squares of so many px that must not be below black: their means have little noise
 UNEVEN = 0.005  # of the range: what odd and even columns of a camera may differ by
 SEEN = 2048  # px in the middle that show whether filters are those that are stated
-IDENTITY = 1e-3  # files keep matrices as float32 and short fractions; the eye sees nothing of it
 
 
 def is_raw(path: Path) -> bool:
@@ -59,7 +59,7 @@ def read_mosaic(path: Path) -> Mosaic:
 
 
 @dataclass(frozen=True)
-class RawFormat:
+class RawFormat(RawColors):
     """Facts about codes and colours in a raw file."""
 
     shape: tuple[int, ...]  # [h,w] of a mosaic, [h,w,3] of three chips
@@ -67,8 +67,6 @@ class RawFormat:
     black: tuple[float, ...]  # DN, of each place in the 2 x 2 cell, row by row; of three chips, of each channel
     #   Where levels repeat over more pixels or differ by rows: the means of these places, and `levels` has each.
     white: float  # DN
-    response: tuple[float, float, float]  # of the camera's channels to the camera's white, green = 1
-    color_matrix: np.ndarray | None  # [3,3], white-balanced camera RGB -> linear sRGB; None: they are the same
     time: float | None  # s
     levels: np.ndarray | None = None  # DN, black of each pixel of a mosaic, [h,w]; None: `black` says all
 
@@ -93,10 +91,9 @@ def read_format(path: Path) -> RawFormat:
             cfa=_pattern(raw, path) if mosaic else None,
             black=black,
             white=white,
-            response=_response(raw, path),
-            color_matrix=_color_matrix(raw, path),
             time=_time(raw),
             levels=levels,
+            **vars(colors_of(raw, path)),
         )
 
 
@@ -153,40 +150,6 @@ def _stated(raw: Any, name: str) -> float | None:
     return float(f"{value:.6g}") if value > 0 else None  # LibRaw keeps it in float32
 
 
-def _response(raw: Any, path: Path) -> tuple[float, float, float]:
-    """The inverse of the factors that balance white: the exposure's, else daylight's, else equal ones."""
-    for found in (raw.camera_whitebalance, raw.daylight_whitebalance):
-        red, green, blue = (float(f"{v:.6g}") for v in found[:3])  # LibRaw keeps them in float32
-        if min(red, green, blue) > 0:
-            if not all(1e-2 <= other / green <= 1e2 for other in (red, blue)):
-                raise ValueError(f"{path} states the white balance {red:g}, {green:g}, {blue:g}: no light needs that")
-            return green / red, 1.0, green / blue
-    return 1.0, 1.0, 1.0
-
-
-def _color_matrix(raw: Any, path: Path) -> np.ndarray | None:
-    """The matrix in the file, which a DNG states, else the matrix of the camera's model, which LibRaw knows of most
-    others.
-    """
-    matrix = np.array(raw.color_matrix, np.float64)[:3, :3]
-    if not matrix.any():
-        matrix = _of_model(np.array(raw.rgb_xyz_matrix, np.float64)[:3])
-    if not matrix.any() or np.abs(matrix - np.eye(3)).max() < IDENTITY:
-        return None
-    if not (np.isfinite(matrix).all() and np.abs(matrix).max() < 100 and abs(np.linalg.det(matrix)) > 1e-3):
-        raise ValueError(f"{path} states a colour matrix that no camera has: {matrix.round(3).tolist()}")
-    return matrix
-
-
-def _of_model(xyz_to_camera: np.ndarray) -> np.ndarray:
-    """White-balanced camera RGB -> linear sRGB, [3,3], of a model by LibRaw; zeros if it states nothing."""
-    filters = xyz_to_camera @ np.linalg.inv(XYZ_TO_SRGB)
-    white = filters.sum(1, keepdims=True)  # the level that the balance makes 1
-    if not (white > 0).all() or np.linalg.matrix_rank(filters) < 3:
-        return np.zeros((3, 3))
-    return np.linalg.inv(filters / white)
-
-
 def read_digital_numbers(path: Path) -> np.ndarray:
     """The codes of a raw file, uint16: [h,w] of a mosaic or a monochrome sensor, [h,w,3] of three chips.
 
@@ -215,33 +178,62 @@ def _letters(raw: Any, path: Path) -> str:
     return "".join(chr(raw.color_desc[i]) for i in np.ravel(pattern))
 
 
-def read_radiance(path: Path) -> np.ndarray:
+def read_colors(path: Path) -> RawColors:
+    """White balance and colour matrix, from the header alone.
+
+    Raises:
+        ValueError: If the file cannot be read, or states colours that no camera has.
+    """
+    with _opened(path, pixels=False) as raw:
+        return colors_of(raw, path)
+
+
+def first_colors(files: Sequence[Path]) -> RawColors | None:
+    """The colours of the first raw file, which count for all; None without raw files."""
+    return next((read_colors(file) for file in files if is_raw(file)), None)
+
+
+def read_radiance(path: Path, colors: RawColors | None = None) -> np.ndarray:
     """Linear sRGB float32 [h,w,3], 1 = white level: black level, white balance, AHD demosaicing, colour matrix.
 
-    The balance comes from `read_format`, so that LibRaw does not make each picture grey where a file states none.
+    The colours come from `colors_of`, so that LibRaw does not make each picture grey where a file states no balance.
     Pixels stay as stored (no rotation), because poses refer to the stored pixels. Where LibRaw would drop a row, or
     mistake the levels, the demosaicing is Menon's (see `develop_linear`).
+
+    Args:
+        path: The raw file.
+        colors: Those of the first file of a set; None: the file's own.
 
     Raises:
         ValueError: If the file cannot be read.
     """
-    if (own := _developed(path)) is not None:
-        return own
-    with _opened(path) as raw:
-        red, green, blue = (1 / share for share in _response(raw, path))
-        codes = raw.postprocess(
-            gamma=(1, 1),
-            no_auto_bright=True,
-            adjust_maximum_thr=0.0,
-            user_wb=[red, green, blue, green],
-            output_bps=16,
-            user_flip=0,
-        )
-    return codes.astype(np.float32) / np.float32(65535)
+    import rawpy
+
+    colors = colors or read_colors(path)
+    matrix = colors.color_matrix
+    light = _developed(path, colors.response)
+    if light is None:
+        with _opened(path) as raw:
+            red, green, blue = (1 / share for share in colors.response)
+            own = raw.num_colors == 4  # channels, whose matrix LibRaw alone has
+            matrix = None if own else matrix
+            codes = raw.postprocess(
+                gamma=(1, 1),
+                no_auto_bright=True,
+                adjust_maximum_thr=0.0,
+                user_wb=[red, green, blue, green],
+                output_color=rawpy.ColorSpace.sRGB if own else rawpy.ColorSpace.raw,
+                output_bps=16,
+                user_flip=0,
+            )
+        light = codes.astype(np.float32) / np.float32(65535)
+    if matrix is not None:
+        light = np.minimum(light, 1.0) @ matrix.T
+    return np.clip(light, 0, 1).astype(np.float32)
 
 
-def _developed(path: Path) -> np.ndarray | None:
-    """Linear sRGB of a mosaic that LibRaw does not develop rightly; None of all others."""
+def _developed(path: Path, response: tuple[float, float, float]) -> np.ndarray | None:
+    """The balanced channels of a mosaic that LibRaw does not develop rightly; None of all others."""
     facts = read_dng(path)
     odd = facts is not None and facts.active is not None and (facts.active[0] % 2 or facts.active[1] % 2)
     if facts is None or not (odd or (facts.black is not None and np.ptp(facts.black) > EVEN)):
@@ -256,14 +248,11 @@ def _developed(path: Path) -> np.ndarray | None:
         (read_digital_numbers(path) - whole)
         / (stated.white - whole)
         / np.take(
-            stated.response,
+            response,
             np.resize(["RGB".index(c) for c in stated.cfa], (2, 2))[np.ix_(np.arange(h) % 2, np.arange(w) % 2)],
         )
     )
-    linear = interpolate(light, stated.cfa, "menon")
-    if stated.color_matrix is not None:
-        linear = np.minimum(linear, 1.0) @ stated.color_matrix.T
-    return np.clip(linear, 0, 1).astype(np.float32)
+    return interpolate(light, stated.cfa, "menon")
 
 
 def size(path: Path) -> tuple[int, int]:
@@ -279,16 +268,16 @@ def size(path: Path) -> tuple[int, int]:
 
 def place_of(path: Path, shape: tuple[int, int], height: int, width: int) -> tuple[int, int]:
     """Top and left of a picture of this size in the pixels of a raw file: as its crop says, else the middle."""
+    return crop_of(path, shape, height, width) or ((shape[0] - height) // 2, (shape[1] - width) // 2)
+
+
+def crop_of(path: Path, shape: tuple[int, int], height: int, width: int) -> tuple[int, int] | None:
+    """Top and left of a picture of this size where a raw file says that it is cut out of its pixels."""
     facts = read_dng(path) if path.suffix.lower() == ".dng" else None
     crop = None if facts is None else facts.crop
-    if (
-        crop is not None
-        and crop[2:] == (height, width)
-        and crop[0] + height <= shape[0]
-        and crop[1] + width <= shape[1]
-    ):
-        return crop[:2]
-    return (shape[0] - height) // 2, (shape[1] - width) // 2
+    if crop is None or crop[2:] != (height, width) or crop[0] + height > shape[0] or crop[1] + width > shape[1]:
+        return None
+    return crop[:2]
 
 
 def _active(path: Path) -> tuple[int, int, int, int] | None:

@@ -13,6 +13,7 @@ import numpy as np
 from novags.testbed.console.terminal import Console
 from novags.testbed.importing.calibration.codes import first_copy
 from novags.testbed.importing.calibration.frames import CalibrationFrame, agreed, cut, iso_folders, listed, read_frame
+from novags.testbed.importing.exposures import OF_FRAMES, check_iso
 from novags.testbed.ledger.contents import folder_digest
 from sensor_model.files.camera_file import CameraFile
 from sensor_model.files.door import enter
@@ -76,14 +77,15 @@ def find_dark_frames(folder: Path, camera: CameraFile) -> DarkFolder:
     """The frames of the camera's ISO, or of the nearest one at which its pixels have the same gain.
 
     Raises:
-        ValueError: If there are none.
+        ValueError: If there are none, or a file states another ISO.
     """
     if not folder.is_dir():
         raise ValueError(f"no such folder of dark frames: {folder}")
     enter(folder)
     isos = iso_folders(folder)
     if not isos:
-        return DarkFolder(folder, tuple(listed(folder)), None, None)
+        check_iso(files := listed(folder), OF_FRAMES, camera.iso, "the camera")
+        return DarkFolder(folder, tuple(files), None, None)
     there = ", ".join(f"{iso:g}" for iso in isos)
     wanted = camera.iso
     if wanted is None:
@@ -102,4 +104,5 @@ def find_dark_frames(folder: Path, camera: CameraFile) -> DarkFolder:
     place = stacks[0] if stacks else place
     gain = None if iso == wanted or camera.fit is None else camera.fit.gain(iso)
     require(gain is None or gain > 0, "the gain of the line in the camera's file", "> 0 DN/e-", gain)
-    return DarkFolder(place, tuple(listed(place)), iso, gain)
+    check_iso(files := listed(place), OF_FRAMES, iso, "the name of the folder")
+    return DarkFolder(place, tuple(files), iso, gain)

@@ -29,7 +29,7 @@ import numpy as np
 
 from novags.testbed.folders.photographs.raw_files import is_raw, read_mosaic
 from novags.testbed.importing.calibration.codes import check_codes
-from novags.testbed.importing.exposures import stated_of
+from novags.testbed.importing.exposures import OF_FRAMES, check_iso, stated_of
 from novags.testbed.importing.stored import is_lossy
 from sensor_model.characterisation import Stack
 from sensor_model.files.door import opened
@@ -55,7 +55,7 @@ class Frames:
 
     dark: list[Stack]
     flat: list[Stack]  # may be empty
-    iso: float | None  # by the folder's name, else by a file
+    iso: float | None  # by the folder's name and by the files
     cfa: str  # "none": monochrome
     bits: int
     camera: dict[str, Any]  # fields that override measured ones
@@ -94,10 +94,11 @@ def read_frames(folder: Path, window: int = 1024, notes_of: Path | None = None) 
     everything = [file for stack in files.values() for file in stack]
     stacks = {name: _stack(folder / name, stack, notes["stacks"].get(name, {})) for name, stack in files.items()}
     named = ISO_NAME.fullmatch(folder.name)
+    paths = [path for name in files for path in listed(folder / name)]
     frames = Frames(
         dark=[stack for name, stack in stacks.items() if name.startswith("dark/")],
         flat=[stack for name, stack in stacks.items() if name.startswith("flat/")],
-        iso=float(named[1]) if named else stated_of(listed(stacks_in(folder, "dark")[0])[0])[1],
+        iso=check_iso(paths, OF_FRAMES, float(named[1]) if named else None, "the name of the folder"),
         cfa=agreed("cfa", notes["cfa"], [f.cfa for f in everything], folder, "none"),
         bits=agreed("bits", notes["bits"], [f.bits for f in everything], folder, None),
         camera=notes["camera"],

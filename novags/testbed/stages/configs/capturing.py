@@ -1,5 +1,6 @@
 """How to photograph a set in the dark."""
 
+import re
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -183,13 +184,14 @@ def title_of(sensor: str) -> str:
 
 
 def camera_file(name: str) -> CameraFile:
-    """A preset by name, or the camera in a TOML file.
+    """A preset by name, with the ISO of its name, or the camera in a TOML file.
 
     Raises:
         ValueError: If there is no such preset, or the file is missing or does not describe a camera.
     """
     if name in PRESETS:
-        return CameraFile(sensor=PRESETS[name])
+        named = re.search(r"-iso(\d+)", name)
+        return CameraFile(sensor=PRESETS[name], iso=float(named[1]) if named else None)
     if not split_iso(name)[0].endswith(".toml"):
         raise ValueError(
             f"unknown sensor {brief(repr(name), 100)}; {meant(name, PRESETS)}give a camera's .toml file, or one of "

@@ -33,9 +33,12 @@ class ImportConfig:
     split: Split = "own"  # which views are held out
     dataset: str = "auto"  # the published data set that the folder is a scene of; auto: by its looks; or none
     camera: Sensor | None = field(init=False)  # the camera named by `sensor`
+    iso: float | None = field(init=False)  # of that camera; None: not known
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "camera", None if self.sensor is None else camera_file(self.sensor).sensor)
+        file = None if self.sensor is None else camera_file(self.sensor)
+        object.__setattr__(self, "camera", None if file is None else file.sensor)
+        object.__setattr__(self, "iso", None if file is None else file.iso)
         if self.time is not None and not (self.time == 0 or TIMES[0] <= self.time <= TIMES[1]):
             raise ValueError(f"time must be 0 or in {TIMES} s, the range of raw files, got {self.time}")
         if self.max_size is not None:

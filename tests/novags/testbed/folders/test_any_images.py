@@ -19,14 +19,19 @@ from novags.testbed.folders.photographs.linear import (
     find_linear,
     load_linear_set,
 )  # fmt: skip
+from novags.testbed.folders.photographs.raw_files import read_radiance
 from novags.testbed.folders.set import PHOTOGRAPHS, READERS, for_photographs, open_source, scaled_rig
 from novags.testbed.stages.capturing import QUANTILES, measure_light
 from novags.testbed.stages.configs.capturing import CaptureConfig
 from novags.testbed.stages.configs.importing import ImportConfig
 from sensor_model import PRESETS, Exposure, expose, mosaic, photons_for_electrons, srgb_to_linear, write_dng
+from sensor_model.files.dng import XYZ_TO_SRGB
 from simscenes import orbit_rig
 from simscenes.sets.multiview import write_cameras
 from simscenes.sets.pictures.exr import write_exr
+from simscenes.sets.pictures.png import read_png
+from tests.dngs import NEUTRAL, mosaic_of
+from tests.dngs import write_dng as write_tags
 
 QUIET = Console(quiet=True)
 CAMERA = PRESETS["imx900-hcg"]
@@ -356,3 +361,36 @@ def test_a_linear_file_is_found_in_every_place_with_every_suffix(place: str, suf
     file.touch()
     assert find_linear(tmp_path, "images/sub/a.png") == file
     assert find_linear(tmp_path, "images/sub/b.png") is None
+
+
+# Neutral, and how much green leaks into red, which makes another matrix.
+BALANCES = [([0.5, 1.0, 0.7], 0.0), ([0.7, 1.0, 0.5], 0.0), ([0.5, 1.0, 0.7], 0.3)]
+
+
+def test_raw_files_of_automatic_white_balance_are_developed_with_the_colours_of_the_first(tmp_path: Path) -> None:
+    """The same codes, other balances: one surface has one colour in all views, of a set and of well-lit twins."""
+    folder = photographs(tmp_path / "set", ".dng", size=(64, 48))
+    codes = mosaic_of(smooth(0, (64, 48)) * 0.2, 512)
+    to_camera = NEUTRAL[:, None] * XYZ_TO_SRGB
+    for i, (neutral, leak) in enumerate(BALANCES):
+        matrix = (np.array([[1, leak, 0], [0, 1, 0], [0, 0, 1]]) @ to_camera).ravel().tolist()
+        extra = {50728: ("R", neutral), 50721: ("S", matrix)}
+        write_tags(folder / "images" / f"{i:04d}.dng", codes, extra, black=[512.0])
+    console = Console(stream=(stream := io.StringIO()))
+    source = open_source(folder, console)
+    own = read_radiance(folder / "images" / "0000.dng")
+    for i in range(3):
+        alone = read_radiance(folder / "images" / f"{i:04d}.dng")
+        assert (np.abs(alone - own).max() > 0.03) == (i > 0)
+        np.testing.assert_allclose(source.radiance(i), own, atol=1e-3)  # AHD looks at the own matrix for edges
+    assert "0001.dng other ones than 0000.dng" in stream.getvalue()
+    stages.import_photographs(folder, tmp_path / "cap", ImportConfig(lit=folder / "images"), console)
+    lit = [read_png(tmp_path / "cap" / "lit" / f"{i:04d}.png") for i in range(3)]
+    np.testing.assert_allclose(lit, [lit[0]] * 3, atol=1.5 / 255)
+    assert stream.getvalue().count("those of 0000.dng count for all") == 1
+
+
+def test_nothing_is_said_of_raw_files_of_one_white_balance(tmp_path: Path) -> None:
+    stream = io.StringIO()
+    open_source(photographs(tmp_path, ".dng"), Console(stream=stream))
+    assert "white balance" not in stream.getvalue()

@@ -1,5 +1,6 @@
 """Claims about DNG files of strangers: the light is right, or the file is refused by the name of what is not done."""
 
+import shutil
 import struct
 from pathlib import Path
 from typing import Any
@@ -7,6 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from novags.testbed import stages
+from novags.testbed.console.terminal import Console
+from novags.testbed.folders.photographs.linear import load_linear_set, within_margins
 from novags.testbed.folders.photographs.raw_files import (
     place_of,
     read_digital_numbers,
@@ -17,6 +21,10 @@ from novags.testbed.folders.photographs.raw_files import (
     skipped_steps,
 )
 from novags.testbed.importing.raw_camera import raw_camera
+from novags.testbed.stages.configs.importing import ImportConfig
+from simscenes import orbit_rig
+from simscenes.sets.multiview import write_cameras
+from simscenes.sets.pictures.png import write_png
 from tests.dngs import mosaic_of, write_dng
 
 H, W = 48, 64
@@ -145,3 +153,47 @@ def test_the_picture_is_where_the_crop_of_the_file_says(tmp_path: Path) -> None:
     file = write_dng(tmp_path / "a.dng", mosaic_of(LIGHT, 512.0), crop, black=[512])
     assert place_of(file, (H, W), 44, 56) == (1, 6)
     assert place_of(file, (H, W), 40, 56) == (4, 4)  # of another size: the middle
+
+
+WHOLE, PART = (168, 126), (160, 120)  # px: the raw file has 1.05 times as many on both sides
+
+
+def stranger(folder: Path, crop: Any, name: str) -> Path:
+    """A raw file and a camera for a smaller picture of the same shape."""
+    write_cameras(folder, ["0000"], orbit_rig(1, *PART, 50.0, radius=3.0))
+    shutil.rmtree(folder / "sparse")
+    (folder / "transforms.json").write_text((folder / "transforms.json").read_text().replace("images/0000.png", name))
+    light = np.full((*WHOLE[::-1], 3), 0.2) * np.linspace(0.2, 1, WHOLE[0])[:, None]
+    write_dng(folder / "raw" / "0000.dng", mosaic_of(light, 512.0), crop, black=[512])
+    return folder
+
+
+def test_a_raw_file_larger_than_its_pictures_and_of_their_shape_is_not_cut_unless_it_says_so(tmp_path: Path) -> None:
+    """Rationale: it was cut, under the focal length of the shrunk pictures."""
+    focal = orbit_rig(1, *PART, 50.0, radius=3.0).Ks[0, 0, 0]
+    with pytest.warns(UserWarning, match="are 168 x 126 px, 1.05 times the 160 x 120 px of their cameras"):
+        shrunk = load_linear_set(stranger(tmp_path / "shrunk", {}, "raw/0000.dng"))
+    crop: Any = {50719: ("R", [4.0, 3.0]), 50720: ("R", [160.0, 120.0])}
+    cut = load_linear_set(stranger(tmp_path / "cut", crop, "raw/0000.dng"))
+    assert shrunk is not None
+    assert cut is not None
+    assert (shrunk.rig.width, shrunk.rig.height) == WHOLE
+    assert shrunk.rig.Ks[0, 0, 0] == pytest.approx(1.05 * focal)
+    assert (cut.rig.width, cut.rig.height) == PART
+    assert cut.rig.Ks[0, 0, 0] == pytest.approx(focal)
+
+
+def test_margins_that_change_the_shape_or_are_small_are_cut(tmp_path: Path) -> None:
+    file = write_dng(tmp_path / "a.dng", mosaic_of(LIGHT, 512.0), black=[512])
+    for whole, part in (((4080, 3072), (4032, 3024)), ((6048, 4024), (6000, 4000)), ((4032, 3024), (4000, 3000))):
+        assert within_margins(file, whole, part)
+    for part in ((3840, 2880), (5760, 3832)):
+        assert not within_margins(file, (round(1.05 * part[0]), round(1.05 * part[1])), part)
+
+
+def test_a_raw_file_beside_a_shrunk_picture_is_refused(tmp_path: Path) -> None:
+    folder = stranger(tmp_path / "a", {}, "images/0000.png")
+    write_png(folder / "images" / "0000.png", np.full((*PART[::-1], 3), 90, np.uint8))
+    wrong = r"0000\.dng must be 160 x 120 px .* got 168 x 126: the pictures with cameras are probably shrunk by 1\.05"
+    with pytest.raises(ValueError, match=wrong):
+        stages.import_photographs(folder, tmp_path / "cap", ImportConfig(), Console(quiet=True))

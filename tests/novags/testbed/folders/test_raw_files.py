@@ -182,3 +182,10 @@ def test_filters_that_lie_a_row_or_a_column_beside_are_refused(beside: tuple[int
     moved = write_tags(tmp_path / "b.dng", np.roll(right, beside, (0, 1)), black=[512.0])
     with pytest.raises(ValueError, match="states the filters RGGB, .* they lie a row or a column beside"):
         read_digital_numbers(moved)
+
+
+@pytest.mark.parametrize("size", [(63, 96), (64, 79), (63, 79)])
+def test_a_raw_file_of_an_odd_side_is_read(size: tuple[int, int], tmp_path: Path) -> None:
+    """Rationale: one place of green then has a row or a column of blocks more than the other."""
+    codes = mosaic_of(np.full((64, 96, 3), 0.2) * np.linspace(0.2, 1, 96)[:, None], 512)[: size[0], : size[1]]
+    np.testing.assert_array_equal(read_digital_numbers(write_tags(tmp_path / "a.dng", codes, black=[512.0])), codes)

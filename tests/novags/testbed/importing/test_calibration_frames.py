@@ -9,6 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from PIL import Image, TiffImagePlugin
 
 from novags.testbed.importing.calibration import frames as calibration
 from novags.testbed.importing.calibration.camera import characterise_folder as all_of
@@ -54,8 +55,6 @@ def as_npy(path: Path, dn: np.ndarray, *_: object) -> None:
 
 
 def as_tiff_with_exif(path: Path, dn: np.ndarray, _: Sensor, exposure: Exposure) -> None:
-    from PIL import Image, TiffImagePlugin
-
     tags = TiffImagePlugin.ImageFileDirectory_v2()
     tags[34665] = {33434: TiffImagePlugin.IFDRational(round(exposure.time * 10_000), 10_000)}
     Image.fromarray(dn).save(path.with_suffix(".tiff"), tiffinfo=tags)
@@ -217,6 +216,31 @@ def test_codes_that_do_not_fit_their_bits_are_refused_with_the_likely_cause(
     write_stacks(tmp_path, one_npy, change, bits)
     with pytest.raises(ValueError, match=message):
         read_frames(tmp_path)
+
+
+def with_iso(place: Path, iso: int) -> None:
+    tags = TiffImagePlugin.ImageFileDirectory_v2()
+    tags[34665] = {34855: iso}
+    Image.fromarray(np.load(place / "a.npy")[0] + np.uint16(1)).save(place / f"{iso}.tiff", tiffinfo=tags)
+
+
+@pytest.mark.parametrize(("name", "dark", "flat", "wrong"), [
+    ("frames", 3200, 3200, ""), ("iso3200", 3200, 3200, ""), ("iso102400", 65535, 65535, ""),
+    ("frames", 3200, 100, "100.tiff states the ISO speed 100, .*dark.0.3200.tiff 3200"),
+    ("iso3200", 100, 100, "100.tiff states the ISO speed 100, the name of the folder 3200"),
+])  # fmt: skip
+def test_all_frames_are_of_one_iso_and_of_the_one_of_their_folder(
+    name: str, dark: int, flat: int, wrong: str, tmp_path: Path
+) -> None:
+    """Rationale: the gain by the rule, 0.1 DN/e- at ISO 100, was the folder's; flat frames of ISO 100 went unseen."""
+    write_stacks(tmp_path / name, one_npy)
+    with_iso(tmp_path / name / "dark" / "0", dark)
+    with_iso(tmp_path / name / "flat" / "0", flat)
+    if wrong:
+        with pytest.raises(ValueError, match=f"{wrong}: dark and flat frames must be of the camera's one ISO"):
+            read_frames(tmp_path / name)
+    else:
+        assert read_frames(tmp_path / name).iso == (102400 if dark == 65535 else dark)
 
 
 @pytest.mark.parametrize(("read_noise", "said"), [(0.1, True), (0.2, True), (0.5, False), (3.0, False)])

@@ -5,9 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image, TiffImagePlugin
 
 from novags.testbed.console.terminal import Console
 from novags.testbed.importing.calibration.dark_frames import DarkFolder, find_dark_frames
+from novags.testbed.stages.configs.capturing import camera_file
 from sensor_model import PRESETS
 from sensor_model.characterisation import GainFit
 from sensor_model.files.camera_file import CameraFile
@@ -22,6 +24,15 @@ def write_frames(folder: Path, n: int = 3) -> Path:
     for k in range(n):
         codes = np.random.default_rng(k).normal(CAMERA.black_level, 8.0, (2, 10, 12))
         np.save(folder / f"{k}.npy", np.rint(codes).astype(np.uint16))
+    return folder
+
+
+def write_tiff(folder: Path, iso: int) -> Path:
+    """A frame whose file states its ISO."""
+    tags = TiffImagePlugin.ImageFileDirectory_v2()
+    tags[34665] = {34855: iso}
+    folder.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(np.full((10, 12), 520, np.uint16)).save(folder / f"{iso}.tiff", tiffinfo=tags)
     return folder
 
 
@@ -70,3 +81,21 @@ def test_files_of_two_exposure_times_are_refused(tmp_path: Path, monkeypatch: py
     monkeypatch.setattr(module, "read_frame", lambda path: replace(read(path), time=2.0 if path == files[-1] else 1.0))
     with pytest.raises(ValueError, match="differ in exposure time: 1.0, 2.0"):
         DarkFolder(tmp_path / "dark", files, None, None).read(CAMERA, (8, 8), 1.0, QUIET)
+
+
+def test_frames_that_state_another_iso_than_the_camera_or_their_folder_are_refused(tmp_path: Path) -> None:
+    plain = write_tiff(tmp_path / "plain", 1600)
+    preset = camera_file("a7s2-iso1600-3chip")
+    for right in (preset, camera_file("imx900-hcg")):  # the latter is of no ISO
+        assert find_dark_frames(plain, right).files == (plain / "1600.tiff",)
+    with pytest.raises(
+        ValueError, match=r"1600\.tiff states the ISO speed 1600, the camera 6400: dark and flat frames"
+    ):
+        find_dark_frames(plain, camera_file("a7s2-iso6400"))
+    write_tiff(tmp_path / "all" / "iso1600", 1600)
+    assert find_dark_frames(tmp_path / "all", preset).iso == 1600
+    write_tiff(tmp_path / "all" / "iso1600", 100)
+    with pytest.raises(
+        ValueError, match=r"100\.tiff states the ISO speed 100, the name of the folder 1600: .* correct"
+    ):
+        find_dark_frames(tmp_path / "all", preset)

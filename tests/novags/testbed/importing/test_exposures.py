@@ -66,6 +66,19 @@ def test_other_times_and_speeds_are_refused_by_name(tmp_path: Path) -> None:
         check_exposed_alike([tmp_path / "d.dng", tmp_path / "e.dng"])
 
 
+def test_pictures_of_another_iso_than_the_camera_are_refused(tmp_path: Path) -> None:
+    write_cameras(tmp_path / "dark", NAMES, orbit_rig(3, 32, 24, 50.0, radius=3.0))
+    cameras = tmp_path / "dark" / "transforms.json"
+    cameras.write_text(cameras.read_text().replace(".png", ".jpg"))
+    (tmp_path / "dark" / "images").mkdir()
+    for name in NAMES:
+        jpeg(tmp_path / "dark" / "images" / f"{name}.jpg", iso=100)
+    wrong = r"0000\.jpg states the ISO speed 100, --sensor a7s2-iso6400 6400: .* or leave out --sensor"
+    with pytest.raises(ValueError, match=wrong):
+        brought(tmp_path / "dark", tmp_path / "cap", sensor="a7s2-iso6400")
+    brought(tmp_path / "dark", tmp_path / "cap", sensor="a7s2-iso100")
+
+
 def test_photographs_of_two_exposures_are_said_from_four_times_on(tmp_path: Path) -> None:
     first, unknown = jpeg(tmp_path / "a.jpg", (1, 30), 800), jpeg(tmp_path / "b.jpg")
     balanced = jpeg(tmp_path / "c.jpg", (1, 240), 6400)  # a shorter time at a higher speed is the same exposure

@@ -191,7 +191,7 @@ def test_raw_frames_are_compared_with_what_the_camera_states(photographs: Path, 
         (lambda folder: folder.mkdir(), "got no frames"),
         (
             lambda folder: write_dark(folder / "iso100"),
-            r"several ISOs \(100\), and the camera is of none: name the folder",
+            "must hold dark frames of ISO 6400, .* got 100",
         ),
     ],
 )
