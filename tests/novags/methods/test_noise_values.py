@@ -223,6 +223,13 @@ def test_brightness_is_near_the_brightest_measured_green() -> None:
         brightness(-light.abs())
 
 
+def test_dark_and_bright_views_have_one_brightness_whichever_is_the_first() -> None:
+    dark, bright = torch.linspace(0, 1, 6000).reshape(2, 1, 10, 100, 3)
+    both = brightness(torch.cat([dark, bright]))
+    assert both == brightness(torch.cat([bright, dark]))
+    assert brightness(dark) < both < brightness(bright)
+
+
 @pytest.mark.parametrize("bend", [None, BEND])
 def test_the_noise_of_linear_pictures_above_their_black_is_that_of_the_pictures(bend):
     """Expectation: the datum decides, also above the switch of the gains and at white."""

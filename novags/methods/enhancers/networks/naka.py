@@ -138,7 +138,7 @@ def response(dark: Tensor) -> Tensor:
     found = dark / (dark + HALF)
     low, high = found.amin((1, 2, 3), keepdim=True), found.amax((1, 2, 3), keepdim=True)
     # One colour all over has no range to be stretched.
-    return torch.where(high > low, (found - low) / torch.where(high > low, high - low, torch.ones_like(low)), dark)
+    return torch.where(high > low, (found - low) / torch.where(high > low, high - low, torch.inf), dark)
 
 
 def even(x: Tensor) -> Tensor:

@@ -110,6 +110,12 @@ def test_a_calibration_is_read_as_it_was_written(calibration: Calibration, tmp_p
                                rtol=0, atol=1e-4)  # fmt: skip
 
 
+def test_dark_codes_are_amplified_by_the_gain_after_the_power_and_clipped() -> None:
+    codes = torch.tensor([-0.1, 0.04, 0.09, 0.16, 0.36, 1.0], dtype=torch.float64)
+    assert amplified(codes, 2.0, 2.0).tolist() == pytest.approx([0.0, 0.4, 0.6, 0.8, 1.0, 1.0], abs=2e-3)
+    assert amplified(codes, 0.5, 2.0).tolist() == pytest.approx([0.0, 0.1, 0.15, 0.2, 0.3, 0.5], abs=2e-3)
+
+
 def test_pictures_of_other_shapes_calibrate_nothing() -> None:
     dark, lit, _ = scene(5, 0.0)
     with pytest.raises(ValueError, match=r"dark and lit must both be \[C, H, W, 3\], got \[4, 24, 24, 3\] and \[3, 24"):

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from novags.methods import enhancers
-from novags.methods.enhancers import enhancement_record, recorded
+from novags.methods.enhancers import enhancement_record, located, recorded
 from novags.methods.enhancers.choice import EnhanceConfig
 from novags.methods.enhancers.guided import EnhanceParams, typical
 
@@ -36,6 +36,13 @@ def test_a_record_says_enough_to_enhance_again():
 def test_records_of_other_enhancers_or_versions_are_refused(change, match):
     with pytest.raises(ValueError, match=match):
         recorded({**enhancement_record(CONFIG, "8bit"), **change})
+
+
+def test_every_file_of_a_record_is_found_where_the_run_lies(tmp_path):
+    recorded_as = {"name": "any", "config": {"weights": ["first.pt", "second.pt"], "gain": 2.0}, "pictures": "8bit"}
+    there = located(recorded_as, tmp_path)
+    assert there["config"] == {"weights": [f"{tmp_path}/first.pt", f"{tmp_path}/second.pt"], "gain": 2.0}
+    assert there["pictures"] == "8bit"
 
 
 def test_a_configuration_of_no_enhancer_is_refused():

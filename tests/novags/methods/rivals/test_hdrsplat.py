@@ -22,7 +22,7 @@ from novags.methods.rivals.hdrsplat import RelativeLoss, train
 from novags.methods.rivals.rows.hdrsplat import HdrsplatConfig
 from novags.settings import changed
 from novags.splats.training.step import PixelLoss
-from tests.novags.methods.rivals.photographed import CAMERAS, Camera, photographed
+from tests.novags.methods.rivals.le3d.photographed import CAMERAS, Camera, photographed
 from tests.novags.methods.rivals.short import SHORT
 
 EPSILON, WEIGHT = 0.02, 0.3

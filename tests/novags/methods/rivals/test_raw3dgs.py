@@ -17,7 +17,7 @@ from torch import Tensor
 from novags.methods import METHODS, chosen
 from novags.methods.denoised.config import AdaptConfig
 from novags.methods.denoised.estimate import estimate
-from novags.methods.denoised.measured import MeasuredPictures
+from novags.methods.denoised.measured import MeasuredPictures, measured
 from novags.methods.denoised.network import Network, NetworkConfig
 from novags.methods.denoised.packing import mask_of
 from novags.methods.denoised.weights import load_weights
@@ -26,12 +26,13 @@ from novags.methods.enhancers.applying import enhanced_light
 from novags.methods.inputs import LacksInput
 from novags.methods.noise import Variance, camera_noise
 from novags.methods.problem import Problem, RawPictures
-from novags.methods.rivals.raw3dgs import ExtractorLoss, decorrelation, likelihood, train
+from novags.methods.rivals.raw3dgs import ExtractorLoss, decorrelation, likelihood, pretrained, train
 from novags.methods.rivals.rows.raw3dgs import METHOD, Raw3dgsConfig, parts
 from novags.splats import CameraRefinement, FitConfig, Gaussians, LearningRates, Views, rasterize
 from sensor_model import PRESETS, Exposure, NoiseCurve, expose, linear_to_srgb
 from sensor_model.isp import white_balance
 from sensor_model.mosaicking import channel_index, mosaic
+from tests.novags.methods.rivals.le3d.photographed import WallPoints
 from tests.novags.methods.rivals.short import SHORT
 
 module = importlib.import_module("novags.methods.rivals.raw3dgs")
@@ -189,10 +190,8 @@ def test_both_terms_together_are_least_at_the_variance_that_the_docstring_says(l
 def test_black_renders_and_no_read_noise_give_finite_losses_and_slopes(cfa: Any) -> None:
     given = case(cfa)
     curve = dataclasses.replace(given.loss.pictures.noise.curve, offset=(0.0,) * 3)
-    pictures = dataclasses.replace(given.loss.pictures, noise=Variance(curve))
-    pictures = dataclasses.replace(
-        pictures, electrons=pictures.electrons.float(), mask=pictures.mask.float(), unit=pictures.unit.float()
-    )
+    old = given.loss.pictures
+    pictures = MeasuredPictures(old.electrons.float(), old.mask.float(), Variance(curve), old.unit.float(), None)
     loss = ExtractorLoss(load_weights(), pictures, Raw3dgsConfig(), unit=0.3, white=torch.ones(3))
     for electrons in (torch.zeros_like(pictures.electrons[0]), 1e5 * pictures.electrons[0]):
         render = torch.zeros(13, 10, 3, requires_grad=True)
@@ -200,13 +199,6 @@ def test_black_renders_and_no_read_noise_give_finite_losses_and_slopes(cfa: Any)
         value = loss(step, electrons)
         slopes = torch.autograd.grad(value, [render, *loss.trained_along()])
         assert all(bool(torch.isfinite(t).all()) for t in (value, *slopes))
-
-
-@dataclasses.dataclass(frozen=True)
-class Start:
-    points: Tensor
-    colors: Tensor
-    extent: float
 
 
 def exposed(cfa: Any, green: float = 20.0) -> tuple[Problem, Tensor]:
@@ -241,7 +233,7 @@ def exposed(cfa: Any, green: float = 20.0) -> tuple[Problem, Tensor]:
     light = factor * sensor.gain / (sensor.white_dn - sensor.black_level)
     codes = torch.from_numpy(linear_to_srgb(light * colors.double().numpy())).float()
     problem = Problem(
-        views=views, start=Start(points, codes, 1.0), seed=3, srgb8=(light * lit).clamp(0, 1), raw=raw, noise=noise
+        views=views, start=WallPoints(points, codes, 1.0), seed=3, srgb8=(light * lit).clamp(0, 1), raw=raw, noise=noise
     )
     return problem, torch.from_numpy(mean).movedim(-1, 1).float()
 
@@ -258,8 +250,7 @@ def noise_of(loss: ExtractorLoss, true: Tensor) -> tuple[Tensor, Tensor]:
 @pytest.fixture
 def losses(monkeypatch: pytest.MonkeyPatch) -> list[ExtractorLoss]:
     """Filled with the loss of each training."""
-    made: list[ExtractorLoss] = []
-    create = ExtractorLoss.__init__
+    made, create = list[ExtractorLoss](), ExtractorLoss.__init__
 
     def noted(self: ExtractorLoss, *parts: Any, **more: Any) -> None:
         create(self, *parts, **more)
@@ -362,6 +353,15 @@ def test_the_network_learns_at_the_published_rates(dark: Any, monkeypatch: pytes
     with pytest.raises(KeyboardInterrupt):
         train(inputs, dataclasses.replace(SMALL, pretrain=None))
     assert all(torch.equal(shipped[name], value) for name, value in begun[1].state_dict().items())
+
+
+def test_the_seed_chooses_what_the_pretraining_draws(dark: Any) -> None:
+    (inputs, _), found = dark(), list[Tensor]()
+    for each in (dataclasses.replace(inputs, seed=seed) for seed in (0, 0, 1)):
+        network = pretrained(each, SMALL, measured(each), None, None)
+        found.append(torch.cat([value.flatten() for value in network.parameters()]))
+    assert torch.equal(found[0], found[1])
+    assert not torch.equal(found[0], found[2])
 
 
 def test_few_views_have_the_smaller_published_weight_of_the_likelihood() -> None:

@@ -12,6 +12,8 @@ from novags.methods import METHODS, chosen, with_variants
 from novags.methods.enhanced import enhance_then_fit
 from novags.methods.enhanced.config import EnhancedFitConfig
 from novags.methods.enhancers.networks.rows.zero_dce import METHOD as ZERO_DCE
+from novags.methods.problem import Problem
+from novags.methods.reconstruction import Reconstruction
 from novags.methods.variant import Variant, parts_of
 from novags.methods.variant.several import MeanScene, places, seed_of, train_several
 from novags.splats import FitConfig
@@ -45,6 +47,27 @@ def test_it_shows_the_mean_of_fits_that_differ_in_their_random_numbers_alone(pro
     assert {total for _, total in said} == {120}
     assert [done for done, _ in said] == sorted(done for done, _ in said)
     assert len(found.losses) == sum(len(one.losses) for one in each)
+
+
+def test_every_fit_has_a_seed_of_its_own_and_adds_its_losses_and_seconds(problem: Any, tmp_path: Path) -> None:
+    def train(inputs: Problem, config: Any, **_: Any) -> Reconstruction:
+        seeds.append(inputs.seed)
+        count = float(len(seeds))
+        return Reconstruction(
+            scene=FlatScene(0.1 * count, 1.0, 2.0), space="linear", config=config,
+            losses=[{"loss": count}, {"loss": -count}],
+            seconds={"enhance": 0.5 * count, "fit": 10 * count} if count < 3 else {"fit": 10 * count},
+        )  # fmt: skip
+
+    method, trained = replace(METHODS["naive"], train=train), dict[int, list[int]]()
+    for seed in (4, 5):
+        seeds = trained[seed] = list[int]()
+        inputs = problem(seed=seed)
+        found = train_several(method, inputs, CONFIG, 3, progress=nothing, checkpoint=tmp_path / "fit.safetensors")
+        assert [entry["loss"] for entry in found.losses] == [1, -1, 2, -2, 3, -3]
+        assert found.seconds == {"enhance": 1.5, "fit": 60}
+    assert [seeds[0] for seeds in trained.values()] == [4, 5]
+    assert len({seed for seeds in trained.values() for seed in seeds}) == 6
 
 
 def test_an_interrupted_run_keeps_the_fits_that_are_done(problem: Any, tmp_path: Path) -> None:

@@ -58,6 +58,10 @@ def test_a_variants_own_settings_win_over_shared_ones_and_those_of_a_part_that_i
     assert off.config(Outer(part=Inner()), {"part.size": 8}) == Outer(part=None)
     both = Variant(name="v", method="m", settings={"label": "own", "part": None})
     assert both.config(Outer(part=Inner()), {"label": "s", "part.size": 8}) == Outer(label="own", part=None)
+    off_first = Variant(name="v", method="m", settings={"part": None, "label": "own"})
+    assert off_first.config(Outer(part=Inner()), {"rate": 0.1, "part.size": 8}) == Outer(
+        rate=0.1, label="own", part=None
+    )
     with pytest.raises(ValueError, match="Outer has no setting 'wrong'"):
         Variant(name="v", method="m", settings={"wrong": 1}).config(Outer(), {})
 

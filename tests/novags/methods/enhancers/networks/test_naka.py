@@ -29,7 +29,7 @@ from novags.methods.enhancers.networks.rows.naka_net import NakaNetConfig
 from novags.methods.enhancers.rows.naka import NakaConfig
 from novags.methods.inputs import LacksInput
 from novags.settings import changed
-from tests.novags.methods.rivals.photographed import photographed
+from tests.novags.methods.rivals.le3d.photographed import photographed
 
 Conv = Callable[..., np.ndarray]
 

@@ -159,13 +159,6 @@ def test_a_method_with_given_weights_learns_nothing_and_records_their_digest(tmp
     assert torch.equal(enhanced_like(dark()[0], again, None), result.targets[0])
 
 
-def test_every_file_of_a_record_is_found_where_the_run_lies(tmp_path):
-    recorded_as = {"name": "any", "config": {"weights": ["first.pt", "second.pt"], "gain": 2.0}, "pictures": "8bit"}
-    there = located(recorded_as, tmp_path)
-    assert there["config"] == {"weights": [f"{tmp_path}/first.pt", f"{tmp_path}/second.pt"], "gain": 2.0}
-    assert there["pictures"] == "8bit"
-
-
 @pytest.mark.parametrize(
     "change", [{"steps": -1}, {"rate": 0.0}, {"batch": 0}, {"crop": 0}, {"decay": 1.0}, {"rate": float("nan")}]
 )

@@ -19,7 +19,7 @@ from novags.methods.rivals.le3d.colours import (
     with_first_colours,
 )
 from novags.splats import Gaussians
-from tests.novags.methods.rivals.photographed import cameras
+from tests.novags.methods.rivals.le3d.photographed import cameras
 
 COUNT = 300
 

@@ -18,12 +18,12 @@ from novags.methods.rivals.le3d import trainer
 from novags.methods.rivals.le3d.colours import ColourNetwork, ColourScene, seen_from, with_colours
 from novags.methods.rivals.le3d.regularisers import BINS, EPSILON, FARTHEST, NEAREST
 from novags.methods.rivals.le3d.trainer import Le3dLoss, first_gaussians, train
-from novags.methods.rivals.rows.le3d import ColourRates, Le3dConfig
+from novags.methods.rivals.rows.le3d import Le3dConfig
 from novags.methods.saved import saved_gaussians
 from novags.settings import changed
 from novags.splats import CameraRefinement, McmcConfig
 from novags.splats.training.companion import Companion
-from tests.novags.methods.rivals.photographed import CAMERAS, POINTS, Camera, photographed
+from tests.novags.methods.rivals.le3d.photographed import CAMERAS, POINTS, Camera, photographed
 
 CONFIG = changed(
     Le3dConfig(init_scale=0.7),
@@ -101,6 +101,13 @@ def test_the_seed_chooses_the_first_network() -> None:
     assert float((first[0] - first[2]).abs().max()) > 1e-2
 
 
+def test_the_seed_chooses_the_first_features() -> None:
+    inputs, _ = photographed("a7s2-iso6400-3chip")
+    first, again, other = (start_of(dataclasses.replace(inputs, seed=seed), CONFIG)[0].features for seed in (0, 0, 1))
+    assert torch.equal(first, again)
+    assert not torch.equal(first, other)
+
+
 def start_of(inputs: Problem, config: Le3dConfig) -> tuple[Any, torch.Tensor]:
     """First Gaussians and their colours from the middle of the cameras, as light."""
     data = problem_light(inputs, noise_of(inputs), ())
@@ -172,15 +179,7 @@ def test_without_weights_only_the_raw_loss_is_left(monkeypatch: pytest.MonkeyPat
     assert plain == none
 
 
-def test_rates_of_colours_fall_by_half_a_cosine(monkeypatch: pytest.MonkeyPatch) -> None:
-    rates = ColourRates()
-    for iteration, left in ((0, 1.0), (25, (1 + math.sqrt(0.5)) / 2), (50, 0.5), (100, 0.0)):
-        now = rates.at(iteration, 100)
-        assert now.sh_dc == pytest.approx(1e-5 + left * (2e-3 - 1e-5))
-        assert now.features == pytest.approx(1e-5 + left * (1e-4 - 1e-5))
-        assert (now.quats, now.log_scales, now.logit_opacities) == (1e-3, 5e-3, 5e-2)
-    cooled = ColourRates(cool_to=0.1).at(100, 100)
-    assert (cooled.quats, cooled.sh_dc) == (pytest.approx(1e-4), pytest.approx(1e-5))
+def test_the_rate_of_the_network_falls_by_half_a_cosine(monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[float] = []
     step = Companion.step
 
@@ -196,13 +195,6 @@ def test_rates_of_colours_fall_by_half_a_cosine(monkeypatch: pytest.MonkeyPatch)
 
 def test_its_constants_are_those_published() -> None:
     config, naive = METHODS["le3d"].config(), METHODS["naive"].config()
-    assert (config.epsilon, config.opaque_weight, config.spread_weight, config.near_far_weight) == (
-        1e-3,
-        0.01,
-        0.1,
-        0.01,
-    )
-    assert (config.scatter, config.init_opacity, config.network_rate) == (5, 0.1, 1e-4)
     assert (BINS, EPSILON, NEAREST, FARTHEST) == (32, 1e-3, 0.2, 1000)
     assert (config.fit.rates.sh_dc, config.fit.rates.features, config.fit.rates.colours_final) == (2e-3, 1e-4, 1e-5)
     own = {"rates": naive.fit.rates, "sh_degree": 3}
