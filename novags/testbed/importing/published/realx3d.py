@@ -70,8 +70,8 @@ class RealX3DScene(MultiviewSet):
         """As `MultiviewSet.points`: with their tracks through the dark pictures."""
         if self.colmap is None or self.colmap_rig is None:
             return None
-        names = colmap_views(self.colmap)[0]
-        pictures = self.path if any("/" in name for name in names) else self.path / DARK
+        name = colmap_views(self.colmap)[0][0]  # like all others: relative to the scene or to its dark pictures
+        pictures = self.path if "/" in name else self.path / DARK
         found = read_points(pictures, self.colmap, self.files, self.colmap_rig)
         if found is not None and self.to_metres is not None:
             found = replace(found, xyz=found.xyz @ self.to_metres[:3, :3].T + self.to_metres[:3, 3])
@@ -236,11 +236,10 @@ def in_metres(rig: Rig, to_metres: Float) -> Rig:
     x' = s Q x + b, so that s (R x + t) = R Q' (x' - b) + s t: depths in a picture become s times as large.
     """
     scale = np.cbrt(np.linalg.det(to_metres[:3, :3]))
-    turn, shift = to_metres[:3, :3] / scale, to_metres[:3, 3]
-    u, _, vt = np.linalg.svd(turn)  # the nearest rotation: the file has rounded numbers
+    u, _, vt = np.linalg.svd(to_metres[:3, :3])  # the nearest rotation: the file has rounded numbers
     viewmats = rig.viewmats.copy()
     viewmats[:, :3, :3] = rig.viewmats[:, :3, :3] @ (u @ vt).T
-    viewmats[:, :3, 3] = scale * rig.viewmats[:, :3, 3] - viewmats[:, :3, :3] @ shift
+    viewmats[:, :3, 3] = scale * rig.viewmats[:, :3, 3] - viewmats[:, :3, :3] @ to_metres[:3, 3]
     return replace(rig, viewmats=viewmats)
 
 

@@ -349,7 +349,7 @@ def test_a_film_has_the_median_focal_lengths_of_its_cameras(run: Path, tmp_path:
     shutil.copytree(run.parent, tmp_path / "copy")
     file = tmp_path / "copy" / run.name / "cameras.json"
     lenses = json.loads(file.read_text())
-    for lens, fx in zip(lenses, (10.0, 40.0, 20.0), strict=True):
+    for lens, fx in zip(lenses, (10.0, 20.0, 40.0), strict=True):
         lens["fx"], lens["fy"] = fx, 2 * fx
     file.write_text(json.dumps(lenses))
     opened = open_run(file.parent)

@@ -130,15 +130,16 @@ def test_distortion_of_linear_files_is_undone(tmp_path: Path) -> None:
     assert np.abs(bent.radiance(0) / straight.radiance(0) - 1).max() > 0.01
 
 
-def test_one_lens_that_distorts_is_enough(tmp_path: Path) -> None:
+@pytest.mark.parametrize("bent", range(3))
+def test_one_lens_that_distorts_is_enough(tmp_path: Path, bent: int) -> None:
     folder = photographs(tmp_path, ".exr")
     content = json.loads((folder / "transforms.json").read_text())
-    content["frames"][1]["k1"] = 0.2
+    content["frames"][bent]["k1"] = 0.2
     (folder / "transforms.json").write_text(json.dumps(content))
     views = load_linear_set(folder)
     assert views is not None
     assert views.lenses is not None
-    assert [lens.distortion[0] for lens in views.lenses] == [0, 0.2, 0]
+    assert [lens.distortion[0] for lens in views.lenses] == [0.2 * (i == bent) for i in range(3)]
 
 
 def test_margins_around_the_picture_in_a_raw_file_are_cut_off_and_not_scaled(tmp_path: Path) -> None:
@@ -164,6 +165,11 @@ def spoilt(value: float) -> dict[str, np.ndarray]:
     channel = np.ones((30, 40), np.float32)
     channel[0, 0] = value
     return dict.fromkeys("RGB", channel)
+
+
+def rename_in_list(folder: Path, old: str, new: str) -> None:
+    listed = folder / "transforms.json"
+    listed.write_text(listed.read_text().replace(old, new))
 
 
 @pytest.mark.parametrize("suffix", [".exr", ".png"])
@@ -212,12 +218,11 @@ def test_images_too_small_to_be_scored_are_refused_before_the_work(tmp_path: Pat
         (lambda f: write_exr(f / "images" / "0001.exr", spoilt(np.nan)), "got nan at .* correct 0001.exr"),
         (lambda f: (f / "images" / "0001.exr").write_bytes(b"no picture"), "not a readable EXR"),
         (lambda f: write_exr(f / "images" / "0001.exr", spoilt(0.5), RIGHT_HALF), "holds a part of its picture"),
+        (lambda f: write_view(f / "images" / "0000.exr", 0, (20, 30)), "must share one size"),
         (lambda f: write_view(f / "images" / "0001.exr", 0, (20, 30)), "must share one size"),
         (lambda f: write_exr(f / "images" / "0001.exr", {"Y": np.ones((30, 40), np.float32)}), "channels R, G, B"),
-        (
-            lambda f: (f / "transforms.json").write_text((f / "transforms.json").read_text().replace("1.exr", "1.png")),
-            "either linear files",
-        ),
+        (lambda f: rename_in_list(f, "0.exr", "0.png"), "either linear files"),
+        (lambda f: rename_in_list(f, "1.exr", "1.png"), "either linear files"),
     ],
 )
 def test_a_broken_set_of_linear_files_says_which_file(spoil, message: str, tmp_path: Path) -> None:

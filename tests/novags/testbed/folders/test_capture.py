@@ -56,6 +56,15 @@ def test_each_view_that_is_kept_in_memory_is_kept_by_itself(mosaic: Path, what: 
     assert len(set(found)) == 9
 
 
+@pytest.mark.parametrize("lacking", NAMES)
+def test_every_view_but_those_without_a_measured_depth_has_its_own(mosaic: Path, lacking: str) -> None:
+    capture = open_capture(mosaic)
+    told = replace(FOREIGN, parts=("lit", "depth"), unscanned=(lacking,))
+    other = replace(capture, record=replace(capture.record, simulated=None, imported=told))
+    wanted = {i: mosaic / "depth" / f"{name}.exr" for i, name in enumerate(NAMES) if name != lacking}
+    assert other.source(Console(quiet=True)).scanned == wanted
+
+
 @pytest.mark.parametrize("foreign", [False, True])
 def test_the_noise_of_pictures_is_estimated_with_the_levels_of_their_raw_frames(
     mosaic: Path, monkeypatch: pytest.MonkeyPatch, foreign: bool

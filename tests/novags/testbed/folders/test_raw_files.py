@@ -95,6 +95,7 @@ def test_a_file_that_states_no_colours_has_those_of_its_model(tmp_path: Path) ->
     camera_file(tmp_path / "a.arw", b"SONY", b"ILCE-7SM2")
     found = read_format(tmp_path / "a.arw")
     assert found.color_matrix is not None
+    assert found.black == (0,) * 4
     np.testing.assert_allclose(found.color_matrix.sum(1), 1, atol=2e-3)  # XYZ_TO_SRGB has four digits
     with rawpy.imread(str(tmp_path / "a.arw")) as raw:
         kind = rawpy.ColorSpace

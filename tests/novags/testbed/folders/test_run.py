@@ -41,6 +41,13 @@ def test_of_a_run_without_floats_the_picture_of_the_view_is_found_where_it_is(tm
     assert Run(tmp_path, {}).shows("0001")
 
 
+def test_the_picture_that_is_scored_counts_before_one_that_was_made_for_training(tmp_path: Path) -> None:
+    codes = np.arange(18, dtype=np.uint8).reshape(2, 3, 3)
+    write_png(tmp_path / "renders" / "0001.png", codes)
+    write_png(tmp_path / "renders_train" / "0001.png", 255 - codes)
+    np.testing.assert_allclose(Run(tmp_path, {}).rendering("0001"), codes / 255, atol=1e-6)
+
+
 @pytest.mark.parametrize("name", RESULT)
 def test_every_result_counts_in_the_digest_of_a_run_and_its_scores_do_not(tmp_path: Path, name: str) -> None:
     before = Run(tmp_path, {}).digest()

@@ -67,6 +67,7 @@ def test_the_nearest_iso_on_the_cameras_own_side_of_the_switch_is_taken_and_all_
     assert {iso: one.iso for iso, one in found.items()} == {100: 100, 300: 400, 1000: 1600, 1600: 1600}
     assert [one.gain for one in found.values()] == [None, 4.5, 16.5, None]
     assert [one.place.name for one in found.values()] == ["iso100", "iso400", "iso1600", "iso1600"]
+    assert find_dark_frames(tmp_path, camera(60, 50, 99)).iso == 50
     with pytest.raises(ValueError, match="must hold dark frames of ISO 6400, .* got 50, 100, 400, 1600, 3200"):
         find_dark_frames(tmp_path, camera(6400, 6400, 12800))
     with pytest.raises(ValueError, match=r"of several ISOs \(50, 100, 400, 1600, 3200\), and the camera is of none"):

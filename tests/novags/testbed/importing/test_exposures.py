@@ -24,6 +24,7 @@ from sensor_model import PRESETS, Exposure, expose, mosaic, srgb_to_linear, writ
 from simscenes import orbit_rig
 from simscenes.sets.multiview import write_cameras
 from simscenes.sets.pictures.png import read_png, write_png
+from tests.dngs import write_dng as write_tags
 
 QUIET = Console(quiet=True)
 CAMERA = PRESETS["a7s2-iso6400"]
@@ -171,6 +172,13 @@ def test_the_black_level_is_that_of_the_file(tmp_path: Path) -> None:
     assert camera.sensor.black_level == real.black_level
     found = camera.develop(camera.codes(tmp_path / "a.dng"))[..., 1].mean()
     assert found == pytest.approx(20 * CAMERA.gain / (real.white_dn - real.black_level), rel=0.05)  # 3 standard errors
+
+
+def test_levels_less_than_a_code_apart_are_a_cameras_too(tmp_path: Path) -> None:
+    file = write_tags(tmp_path / "a.dng", np.full((64, 96), 1023), black=[1022.5], white=1023)
+    camera = raw_camera(file, None, "bilinear")
+    assert (camera.sensor.black_level, camera.format.white) == (1022.5, 1023)
+    assert (camera.codes(file) == 1023).all()
 
 
 def test_compression_with_loss_is_seen_in_every_format_that_has_it(tmp_path: Path) -> None:

@@ -43,14 +43,17 @@ def test_all_folders_that_hold_pictures_are_named_where_none_lies_above_them(tmp
         find_renders(tmp_path, NAMES)
 
 
+@pytest.mark.parametrize("place", [(0, 2), (3, 5)])
 @pytest.mark.parametrize("channel", ["R", "G", "B", "alpha", "A"])
-def test_a_value_that_is_not_finite_is_refused_in_every_channel(tmp_path: Path, channel: str) -> None:
+def test_a_value_that_is_not_finite_is_refused_in_every_channel_and_row(
+    tmp_path: Path, channel: str, place: tuple[int, int]
+) -> None:
     planes = {name: np.full((4, 6), 0.5, np.float32) for name in ("R", "G", "B", "Z", "alpha")}
     planes["A"] = np.ones((4, 6), np.float32)
     write_exr(tmp_path / "a.exr", planes)
     found = read_picture(tmp_path / "a.exr", 6, 4)
     assert found.values.shape == (4, 6, 3)
-    planes[channel][1, 2] = np.nan
+    planes[channel][place] = np.nan
     write_exr(tmp_path / "a.exr", planes)
     with pytest.raises(ValueError, match="is not finite"):
         read_picture(tmp_path / "a.exr", 6, 4)

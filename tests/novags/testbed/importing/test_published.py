@@ -351,11 +351,12 @@ def test_every_data_set_that_is_absent_is_told_where_to_get() -> None:
         assert f"{name}: {dataset.layout} ({dataset.home})" in said
 
 
-def test_one_distorted_lens_of_lom_is_undone_wherever_it_stands(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("part", "place"), [("train", 0), ("test", -1)])
+def test_one_distorted_lens_of_lom_is_undone_wherever_it_stands(part: str, place: int, tmp_path: Path) -> None:
     folder = lom(tmp_path / "buu")
-    path = folder / "transforms_test.json"
+    path = folder / f"transforms_{part}.json"
     content = json.loads(path.read_text())
-    content["frames"][-1]["k1"] = 0.1
+    content["frames"][place]["k1"] = 0.1
     path.write_text(json.dumps(content))
     scene = open_scene(folder, "own")
     assert scene.lenses is not None

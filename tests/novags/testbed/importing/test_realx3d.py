@@ -21,8 +21,9 @@ from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.folders.references import references, true_depth
 from novags.testbed.folders.run import open_run
 from novags.testbed.folders.set import open_source
+from novags.testbed.importing.published import realx3d as realx3d_scenes
 from novags.testbed.importing.published.datasets import dataset_of, scenes_below
-from novags.testbed.importing.published.realx3d import in_metres, read_depth
+from novags.testbed.importing.published.realx3d import colmap_to_world, in_metres, open_scene, read_depth
 from novags.testbed.metrics.geometry import seen_points, surface_scores
 from novags.testbed.report.page import write_reports
 from novags.testbed.stages.configs.importing import ImportConfig
@@ -142,6 +143,48 @@ def test_in_metres_a_point_has_the_pixel_it_had_and_a_depth_larger_by_the_scale(
     np.testing.assert_allclose(scaled, 1.7 * depths, atol=1e-9)
 
 
+@pytest.mark.parametrize("name", ["colmap2world.npy", "colmap2world.txt", "sparse/0/colmap2world.npy"])
+def test_the_way_to_metres_is_found_in_each_form_and_place_that_the_data_set_has(name: str, tmp_path: Path) -> None:
+    folder = realx3d(tmp_path / "RealX3D")
+    truth = folder.parents[2] / "pointclouds" / "Popcorn"
+    (truth / "colmap2world.npy").unlink()
+    assert colmap_to_world(folder) is None
+    (truth / name).parent.mkdir(parents=True, exist_ok=True)
+    (np.savetxt if name.endswith(".txt") else np.save)(truth / name, METRES)
+    np.testing.assert_array_equal(colmap_to_world(folder), METRES)
+
+
+@pytest.mark.parametrize(("part", "place"), [("train", 0), ("train", 3), ("test", -1)])
+def test_one_distorted_lens_is_undone_wherever_it_stands(part: str, place: int, tmp_path: Path) -> None:
+    folder = realx3d(tmp_path / "RealX3D")
+    shutil.rmtree(folder / "sparse")
+    assert open_scene(folder, "own").lenses is None
+    path = folder / f"transforms_{part}.json"
+    content = json.loads(path.read_text())
+    content["frames"][place]["k1"] = 0.1
+    path.write_text(json.dumps(content))
+    scene = open_scene(folder, "own")
+    assert scene.lenses is not None
+    assert [lens.distortion[0] for lens in scene.lenses if any(lens.distortion)] == [0.1]
+
+
+@pytest.mark.parametrize(("above", "place"), [("", "train"), ("train/", "")])
+def test_tracks_are_through_the_dark_pictures_wherever_the_names_of_the_model_begin(
+    above: str, place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen = list[Path]()
+    scene = realx3d_scenes.RealX3DScene(
+        path=tmp_path, names=("0001", "0002"), rig=realx3d_rig(), kind="photographs", meta={}, files=(),
+        colmap=tmp_path / "sparse", colmap_rig=realx3d_rig(),
+    )  # fmt: skip
+    monkeypatch.setattr(
+        realx3d_scenes, "colmap_views", lambda model: ([f"{above}{n}.png" for n in scene.names], [], [])
+    )
+    monkeypatch.setattr(realx3d_scenes, "read_points", lambda pictures, *_: seen.append(pictures))
+    assert scene.points() is None
+    assert seen == [scene.path / place]
+
+
 def test_without_the_model_cameras_are_in_the_frame_of_the_transforms_and_the_scan_is_left_out(tmp_path: Path) -> None:
     folder = realx3d(tmp_path / "RealX3D")
     shutil.rmtree(folder / "sparse")
@@ -212,9 +255,13 @@ def test_a_scene_of_the_challenge_is_known_by_its_numbers(tmp_path: Path) -> Non
     assert told(range(1, 31), range(1, 7)) is None
     assert told(range(31), range(31, 37)) is None
     assert told(range(1, 31), range(31, 37), file_path="train/0001.JPG") is None
-    (tmp_path / "Cupcake" / "transforms_train.json").write_text('{"frames": [{"file_path": "train/0001.JPG"}]}')
-    (tmp_path / "Cupcake" / "transforms_test.json").write_text('{"frames": [{"file_path": "test/0002.JPG"}]}')
-    assert dataset_of(tmp_path / "Cupcake") is None  # not of that tool
+    for other in (0, 29):  # not of that tool
+        assert told(range(1, 31), range(31, 37)).name == "RealX3D"
+        listed = tmp_path / "Cupcake" / "transforms_train.json"
+        frames = json.loads(listed.read_text())["frames"]
+        del frames[other]["sharpness"]
+        listed.write_text(json.dumps({"frames": frames}))
+        assert dataset_of(tmp_path / "Cupcake") is None
 
 
 def test_a_scene_that_is_not_known_is_not_trained_on_dark_and_lit_pictures_without_a_word(tmp_path: Path) -> None:

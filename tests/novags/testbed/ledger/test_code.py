@@ -284,7 +284,9 @@ def test_every_name_that_a_module_of_use_hands_on_counts(tree: Callable[..., dic
     assert tree("i") == {"b": {"one", "first"}, "d": {"six"}}
 
 
-def test_the_version_of_the_code_is_of_every_module_that_results_may_depend_on(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_version_of_the_code_is_of_every_module_that_results_may_depend_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     from novags.testbed.ledger import code
 
     seen = list[frozenset[str]]()
@@ -293,12 +295,19 @@ def test_the_version_of_the_code_is_of_every_module_that_results_may_depend_on(m
     (names,) = seen
     assert {"novags", "novags.methods", "simscenes.rigs", "sensor_model.noise"} <= names
     assert not {name for name in names if name.startswith(OUTSIDE)}
+    for name in ("novags/__init__.py", "novags/a.py", "simscenes/b/c.py", "sensor_model/presets.py"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).touch()
+    monkeypatch.setattr(code, "ROOT", tmp_path)
+    code.version.__wrapped__()
+    assert seen[1] == {"novags", "novags.a", "simscenes.b.c"}
 
 
 @pytest.mark.usefixtures("tree")
 def test_modules_of_every_package_of_a_root_are_followed() -> None:
-    found = reached(["sensor_model.files.records", "small_tree.c"])
-    assert {"small_tree.c", "small_tree.d"} <= set(found)
+    roots = ["sensor_model.files.records", "small_tree.c"]
+    for found in (reached(roots), reached(roots[::-1])):
+        assert {"small_tree.c", "small_tree.d"} <= set(found)
 
 
 def test_what_runs_when_any_of_the_imports_is_loaded_counts(tree: Callable[..., dict[str, set[str]]]) -> None:

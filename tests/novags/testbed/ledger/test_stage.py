@@ -20,7 +20,7 @@ CODE = Code({"a.py": "1", "b.py": "1"}, {"a.py": "whole 1", "b.py": "whole 1"})
 
 def stage(
     folder: Path, work, *, config: dict | None = None, inputs: dict | None = None, prepare=lambda: None, overwrite=True,
-    code: Code = CODE, console: Console = QUIET,
+    code: Code = CODE, console: Console = QUIET, stale=(),
 ):  # fmt: skip
     return run_stage(
         "toy",
@@ -29,10 +29,11 @@ def stage(
         code=code,
         inputs=lambda: inputs or {"in": "1"},
         config=config or {},
-        owns=("record.json", "a.txt", "parts"),
+        owns=("a.txt", "parts", "record.json"),
         prepare=prepare,
         work=lambda _: work(),
         console=console,
+        stale=stale,
         overwrite=overwrite,
     )
 
@@ -323,6 +324,16 @@ def test_files_beside_the_stages_own_survive_it(tmp_path: Path) -> None:
     stage(tmp_path, writes(tmp_path, []))
     stage(tmp_path, writes(tmp_path, []), config={"x": 3})
     assert (tmp_path / "notes.txt").read_text() == "mine"
+
+
+def test_all_that_describes_a_replaced_result_goes_with_it(tmp_path: Path) -> None:
+    described = [tmp_path / name for name in ("report.html", "table.csv")]
+    for file in described:
+        file.write_text("of the result")
+    stage(tmp_path / "out", writes(tmp_path / "out", []), stale=described)  # a first result: they are of something else
+    assert all(file.exists() for file in described)
+    stage(tmp_path / "out", writes(tmp_path / "out", []), stale=described, config={"x": 1})
+    assert not any(file.exists() for file in described)
 
 
 def test_a_record_says_what_it_cost_and_what_made_it(tmp_path: Path) -> None:

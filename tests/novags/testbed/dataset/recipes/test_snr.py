@@ -39,7 +39,9 @@ def known(**planes: float) -> Any:
     """A capture of one view of 4 x 4 px with equal pixels, whose camera has dark current."""
     sensor = SimpleNamespace(black_level=100, gain=2.0, dark_e=lambda exposure: 3.0)
     truth = {name: np.full((4, 4), value, np.float32) for name, value in planes.items()}
-    plan = {"effects": [{"name": "dark_current", "on": True}, {"name": "prnu", "on": False}]}
+    plan = {
+        "effects": [{"name": "dsnu", "on": False}, {"name": "dark_current", "on": True}, {"name": "prnu", "on": False}]
+    }
     record = SimpleNamespace(exposure=None, simulated=SimpleNamespace(plan=plan))
     return SimpleNamespace(path=Path("capture"), names=("0",), sensor=sensor, record=record,
                            truth=lambda i, kind: truth[kind])  # fmt: skip
@@ -49,7 +51,7 @@ def test_dark_current_is_no_signal_and_a_fixed_pattern_is_noise() -> None:
     capture = known(clean=146.0, mean=149.0, variance=7.0)  # 40 of light, 6 of dark current; 3 off
     assert dark_dn(capture) == 106
     assert snr_db(capture) == pytest.approx(10 * log10(40**2 / (7 + 3**2)))
-    capture.record.simulated.plan["effects"][0]["on"] = False
+    capture.record.simulated.plan["effects"][1]["on"] = False
     assert dark_dn(capture) == 100
     capture.record.simulated.plan = None  # all is simulated
     assert dark_dn(capture) == 106

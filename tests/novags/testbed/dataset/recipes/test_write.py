@@ -67,6 +67,10 @@ def test_nothing_is_made_again_and_the_same_samples_have_the_same_bytes(finished
     before = stamps()
     files = published(finished, out, "denoiser", "copy")
     assert stamps() == before
+    entries = entries_of(finished.plan, finished.store, {"tabletop:1": "train", "cornell": "val"})
+    listed = write.write_recipes(("denoiser", "copy"), entries[::-1], out, QUIET)  # in another order
+    assert sorted(listed) == [name for name in sorted(files) if name.startswith("training/")]
+    assert stamps() == before
     gone = out / rows(out, "denoiser")[0]["file"]
     gone.unlink()
     assert published(finished, out, "denoiser", "copy") == files
