@@ -368,8 +368,7 @@ def test_a_linear_file_is_found_in_every_place_with_every_suffix(place: str, suf
     assert find_linear(tmp_path, "images/sub/b.png") is None
 
 
-# Neutral, and how much green leaks into red, which makes another matrix.
-BALANCES = [([0.5, 1.0, 0.7], 0.0), ([0.7, 1.0, 0.5], 0.0), ([0.5, 1.0, 0.7], 0.3)]
+BALANCES = [([0.5, 1.0, 0.7], 0.0), ([0.7, 1.0, 0.5], 0.0), ([0.5, 1.0, 0.7], 0.3)]  # neutral; green leaking into red
 
 
 def test_raw_files_of_automatic_white_balance_are_developed_with_the_colours_of_the_first(tmp_path: Path) -> None:
