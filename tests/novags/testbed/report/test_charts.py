@@ -121,7 +121,7 @@ def test_long_names_in_a_legend_keep_both_ends() -> None:
 
 def test_each_name_stands_beside_the_last_point_of_its_series_and_on_no_other() -> None:
     """Places that names avoid are the points of all series, of those drawn later, too."""
-    ends = {"first": (2.0, 5.0), "second": (2.6, 5.0), "third": (2.6, 5.8), "fourth": (8.0, 1.0)}
+    ends = {"first": (2.0, 5.0), "second": (2.6, 5.0), "third": (2.6, 5.8), "fourth": (8.0, 1.0), "fifth": (1.4, 5.0)}
     series = [Series(name, "m0", [Point(1.0, 9.0), Point(*end)]) for name, end in ends.items()]
     svg = drawn(*series, named=True)
     found = {text: (float(x), float(y)) for x, y, text in
@@ -181,6 +181,11 @@ def test_logarithmic_ticks_lie_inside_and_are_neither_few_nor_many(low: float, h
     found = log_ticks(low, high)
     assert 3 <= len(found) <= 8
     assert all(10**low * 0.999 <= tick <= 10**high * 1.001 for tick in found)
+
+
+def test_logarithmic_ticks_begin_with_the_first_round_value_and_end_with_the_last() -> None:
+    assert log_ticks(-1.5, 0.2) == [0.05, 0.1, 0.2, 0.5, 1.0]
+    assert log_ticks(0.0, 0.7) == [1.0, 2.0, 5.0]
 
 
 @pytest.mark.parametrize("largest", [1e-14, 1.0, 30.0, 999.0, 30_000.0])

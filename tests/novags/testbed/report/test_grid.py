@@ -12,8 +12,12 @@ COMPETES = {"a": True, "b": True}
 
 
 def test_a_column_that_any_line_has_a_value_in_is_shown() -> None:
-    lines = [Line({}, "a", []), Line({}, "b", [], {"enhanced.flip": (0.2, None)})]
-    assert [column[0] for column in shown_columns(lines)] == ["enhanced.flip"]
+    lines = [
+        Line({}, "a", [], {PSNR: (20.0, None)}),
+        Line({}, "b", [], {"enhanced.flip": (0.2, None)}),
+        Line({}, "c", []),
+    ]
+    assert [column[0] for column in shown_columns(lines)] == [PSNR, "enhanced.flip"]
 
 
 def rows() -> list[dict[str, Any]]:
@@ -81,6 +85,9 @@ def test_a_method_that_sees_no_truth_is_told_of_though_another_one_is_listed_fir
     assert [line.method for line in found] == ["a", "b"] * 2
     assert verdict(found, competes).startswith("Nowhere do two methods that see no truth compete")
     assert verdict(found, {"a": False, "b": False}) == "Only methods that see truth were run."
+    found = lines_of([row for row in rows() if (row["scene"], row["electrons"]) == ("s", 5)], AXES, competes)
+    assert [line.method for line in found] == ["b", "a"]
+    assert verdict(found, competes).startswith("Nowhere do two methods that see no truth compete")
 
 
 def test_the_views_of_every_seed_are_values_of_a_line() -> None:
@@ -150,3 +157,15 @@ def test_scores_that_disagree_are_named_wherever_the_best_method_stands() -> Non
     said = verdict(lines, COMPETES)
     assert said.startswith("a comes first in 2 of 3 comparisons")
     assert said.endswith("there b comes first in 3 of 3, a in 0.")
+
+
+def test_scores_that_disagree_are_named_though_the_best_method_has_them_in_its_first_place_alone() -> None:
+    table = [{name: value for name, value in row.items() if name != LIT} for row in rows()
+             if (row["scene"], row["electrons"]) != ("t", 50)]  # fmt: skip
+    for row in table[:4]:
+        row[LIT] = 10.0 + 2 * (row["method"] == "a")
+    lines = lines_of(table, AXES, COMPETES)
+    assert (lines[0].method, LIT in lines[0].places) == ("b", True)
+    said = verdict(lines, COMPETES)
+    assert said.startswith("b comes first in 2 of 3 comparisons")
+    assert said.endswith("there a comes first in 1 of 1, b in 0.")

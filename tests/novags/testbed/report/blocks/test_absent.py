@@ -15,7 +15,7 @@ def made(method: str, source: str = "known", lacks: str | None = None, scene: st
 def test_what_is_gone_is_named_whichever_run_and_column_has_it() -> None:
     runs = {1: made("naive"), 2: made("gone"), 3: made("naive", "lost", "no package"), 4: made("naive", scene="moon:3")}
     rows = [
-        {"enhanced.aligned_psnr": 1.0, "lit.beauty": 1.0},
+        {"lit.beauty": 1.0, "enhanced.aligned_psnr": 1.0},
         {"lit.glow": 2.0, "noise.strange": 1.0, "enhanced.shine": 3},
     ]
     found = absent(SimpleNamespace(made=runs, rows=rows), None)  # type: ignore[arg-type]

@@ -7,18 +7,18 @@ from novags.testbed.report.blocks.configuration import configuration, failed
 
 
 def test_all_failed_runs_are_named_with_their_place_and_reason() -> None:
-    states = ("done", "failed", "skipped", "failed")
+    states = ("skipped", "done", "failed", "failed")
     rows = [{"run": k, "method": "abcd"[k], "state": state, "level": k, "scene": f"s{k}",
              "reason": f"r{k}" if k < 3 else ""}
             for k, state in enumerate(states)]  # fmt: skip
     material: Any = SimpleNamespace(rows=rows, varied=["level", "scene"], unavailable={"lpips": "not installed"})
     found = failed(material, None)  # type: ignore[arg-type]
     assert found == {
-        "facts": {"run 1, b, level 1, scene s1": "r1", "run 2, c, level 2, scene s2": "a task it needs has failed: r2",
+        "facts": {"run 0, a, level 0, scene s0": "a task it needs has failed: r0", "run 2, c, level 2, scene s2": "r2",
                   "run 3, d, level 3, scene s3": "no reason is known", "lpips": "not installed"},
         "runs": True, "skipped": True,
     }  # fmt: skip
-    material.rows = rows[:1]
+    material.rows = rows[1:2]
     found = failed(material, None)  # type: ignore[arg-type]
     assert found is not None
     assert (found["runs"], found["skipped"]) == (False, False)

@@ -30,8 +30,8 @@ def texts(row: TableRow) -> list[str]:
 def test_every_run_of_every_method_counts_at_every_length(monkeypatch: pytest.MonkeyPatch) -> None:
     runs = [
         made("a", {10: 20.0, 20: 24.0, END: 22.0}, stop=20), made("a", {10: 22.0, 20: 28.0, END: 20.0}, stop=10),
-        made("never shown before its end", {END: 30.0}), made("b", {10: 10.0, 20: 12.0, END: 14.0}),
-        made("b", {10: 12.0, 20: 10.0, END: 18.0}),
+        made("never shown before its end", {END: 30.0}), made("b", {10: 10.0, 20: 14.0, END: 14.0}),
+        made("b", {10: 12.0, 20: 12.0, END: 18.0}),
     ]  # fmt: skip
     looks = {each.run.name: SimpleNamespace(key=f"key-{each.run.name}") for each in runs}
     material: Any = SimpleNamespace(made=dict(enumerate(runs)), looks=looks, called=lambda each: each.run.name)
@@ -45,11 +45,11 @@ def test_every_run_of_every_method_counts_at_every_length(monkeypatch: pytest.Mo
         "Method", "10", "20", "40", "Best length", "There above the end",
     ]  # fmt: skip
     assert list(map(texts, kind["table"].rows)) == [
-        ["a", "21.00", "26.00", "21.00", "20", "5.00"], ["b", "11.00", "11.00", "16.00", "40", "0.00"],
+        ["a", "21.00", "26.00", "21.00", "20", "5.00"], ["b", "11.00", "13.00", "16.00", "40", "0.00"],
     ]  # fmt: skip
     ((_, x, y, series),) = drawn
     assert {each.name: [(p.x, p.y) for p in each.points] for each in series} == {
-        "a": [(10, 21.0), (20, 26.0), (40, 21.0)], "b": [(10, 11.0), (20, 11.0), (40, 16.0)],
+        "a": [(10, 21.0), (20, 26.0), (40, 21.0)], "b": [(10, 11.0), (20, 13.0), (40, 16.0)],
     }  # fmt: skip
     assert tuple(x.ticks) == (10, 20, 40)
     assert y.low < 11 < 26 < y.high

@@ -87,6 +87,8 @@ def test_each_score_and_place_has_a_chart_of_all_its_curves(curves: list[Curve])
     ]  # fmt: skip
     alone = [curve for curve in curves if curve.place["scene"] == "two"]
     assert [chart.file for chart in charts_of(alone)] == ["light-psnr.svg", "light-registered.svg"]
+    lone = [curve for curve in curves if (curve.measure.key, curve.method) == ("psnr", "a")]  # one in each place
+    assert [chart.file for chart in charts_of(lone)] == ["light-psnr-scene-one.svg", "light-psnr-scene-two.svg"]
 
 
 def test_places_that_are_alike_without_their_umlauts_have_pictures_of_their_own() -> None:
@@ -105,9 +107,11 @@ def test_values_vary_if_any_of_any_curve_is_another(curves: list[Curve]) -> None
     assert not varies([registered["one"]])
     assert varies([registered["two"]])
     assert varies([registered["one"], registered["two"]])
-    table = [row | {"cameras.registered_share": 1.0 - 0.5 * (row["seed"] == 2)} for row in rows()]
-    (first, *_) = [curve for curve in light_curves(table, AXES) if curve.measure.key == "registered"]
-    assert varies([first])  # from seed to seed
+    assert varies([registered["two"], registered["one"]])
+    for seed in AXES["seed"]:
+        table = [row | {"cameras.registered_share": 1.0 - 0.5 * (row["seed"] == seed)} for row in rows()]
+        (first, *_) = [curve for curve in light_curves(table, AXES) if curve.measure.key == "registered"]
+        assert varies([first])  # from seed to seed
 
 
 def test_a_chart_holds_all_levels_and_the_ends_of_all_bars(
@@ -151,13 +155,24 @@ def test_places_of_one_score_are_drawn_small_and_on_common_axes(
     assert [name for name, *_ in found["key"]] == list(METHODS)
 
 
-def test_a_method_that_the_first_chart_lacks_is_in_the_key_of_all(tmp_path: Path) -> None:
-    some = [row for row in rows() if (row["scene"], row["method"]) != ("one", "b")]
+@pytest.mark.parametrize("scene", SCENES)
+def test_a_method_that_some_charts_lack_is_in_the_key_of_all(scene: str, tmp_path: Path) -> None:
+    some = [row for row in rows() if (row["scene"], row["method"]) != (scene, "b")]
     material: Any = SimpleNamespace(rows=some, axes=AXES, looks=LOOKS, path=tmp_path / "report.html")
     found = module.light(material, SimpleNamespace(path=tmp_path / "report.html"))  # type: ignore[arg-type]
     assert found is not None
     assert [name for name, *_ in found["key"]] == ["a", "b"]
     assert [key for _, key, _ in found["key"]] == ["key-a", "key-b"]
+
+
+def test_every_score_of_a_single_place_is_on_the_page(tmp_path: Path) -> None:
+    some, page = [row for row in rows() if row["scene"] == "two"], tmp_path / "report.html"
+    material: Any = SimpleNamespace(rows=some, axes=AXES, looks=LOOKS, path=page)
+    found = module.light(material, SimpleNamespace(path=page))  # type: ignore[arg-type]
+    assert found is not None
+    files = [chart.file for _, charts in found["measures"] for chart, _ in charts]
+    assert files == ["light-psnr.svg", "light-registered.svg"]
+    assert found["key"] == []  # each chart has a legend
 
 
 def test_a_record_has_all_levels_of_a_curve(curves: list[Curve]) -> None:

@@ -41,7 +41,8 @@ RUNS = {"one": ("a", "b"), "two": ("b", "c")}
 
 def test_every_view_of_every_place_is_shown_and_every_run_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     def tiles(i: int, place: Any, album: Any, called: str) -> Any:
-        keys = [*(f"render-{run}" for run in place.runs), f"map{i}-x"]
+        keys = [*(f"render-{run}" for run in place.runs), f"{called}{i}-x"]
+        keys = keys[::-1] if called == "one" else keys
         return SimpleNamespace(name=f"{called} {i}", held_out=i == 3, tiles=[SimpleNamespace(key=key) for key in keys])
 
     monkeypatch.setattr(module, "view_tiles", tiles)
@@ -67,6 +68,6 @@ def test_every_view_of_every_place_is_shown_and_every_run_is_found(monkeypatch: 
         ["render-a", "render-b", "enhanced"], ["render-b", "render-c", "truth-lit"]
     )  # fmt: skip
     assert (page.strip.view.name, page.strip.keys) == ("one 3", {"render-a", "render-b"})
-    assert found["kinds"] == {"render", "map3", "map5"}
+    assert found["kinds"] == {"render", "one3", "one5", "two3", "two5"}
     assert found["unseen"] == {"old": "why", "three": "it is gone"}
     assert said == [(1, 8), (2, 8), (3, 8), (4, 8)]

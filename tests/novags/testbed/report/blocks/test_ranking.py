@@ -111,6 +111,15 @@ def test_a_method_that_lacks_a_scene_says_so() -> None:
     assert re.search(r'data-error="1\.15', kept["a"])
 
 
+def test_a_scene_that_one_method_alone_has_is_among_the_scenes() -> None:
+    some = material({("one", 5.0, "a"): 20.0, ("two", 5.0, "a"): 22.0, ("two", 5.0, "b"): 23.0})
+    found = pivot(some)
+    assert found is not None
+    table = pivot_table(found, some)
+    assert [column.heading for column in table.columns][2:] == ["Mean of 2 scenes", "one", "two"]
+    assert {row[1]: row[3:] for row in texts(table)} == {"a": ["20.00", "22.00"], "b": ["", "23.00"]}
+
+
 def test_a_method_that_fails_where_all_do_badly_stands_behind_one_that_beats_it() -> None:
     """b has the larger mean: its scenes are the bright ones, on which a is above it."""
     some = SCENES | {("one", 5.0, "a"): 2.0, ("two", 5.0, "a"): 23.5, ("three", 5.0, "a"): 25.3}
@@ -167,6 +176,23 @@ def test_the_chart_is_over_the_light_where_that_varies_and_over_the_time_elsewhe
     assert [(point.x, round(point.y, 9)) for point in light.series["b"]] == [(5.0, 23.0), (50.0, 28.0)]
 
 
+def test_the_time_of_a_method_is_the_mean_over_all_its_runs() -> None:
+    found = material(SCENES)
+    for row in found.rows:
+        row["seconds.reconstruct"] += {"one": 0.0, "two": 1.0, "three": 5.0}[row["scene"]]
+    assert module.seconds_of(found) == {name: pytest.approx(value + 2) for name, value in SECONDS.items()}
+
+
+def test_the_chart_over_the_light_has_a_level_that_one_method_alone_has(monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn = charts(monkeypatch)
+    ranking(material({("one", 5.0, "a"): 20.0, ("one", 50.0, "a"): 25.0, ("one", 50.0, "b"): 26.0}))
+    (light,) = drawn
+    assert {name: [(point.x, point.y) for point in points] for name, points in light.series.items()} == {
+        "a": [(5.0, 20.0), (50.0, 25.0)], "b": [(50.0, 26.0)]
+    }  # fmt: skip
+    assert tuple(light.x.ticks) == (5.0, 50.0)
+
+
 def test_the_axes_of_a_chart_hold_the_bars_of_every_method_and_leave_room_for_names(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -200,6 +226,7 @@ def test_every_place_of_a_study_has_a_chart_and_all_share_their_axes(monkeypatch
     assert [place for place, _ in found["panels"]] == [f"scene {name}, electrons 5" for name in ("one", "two", "three")]
     assert len({(each.x.low, each.x.high, each.y.low, each.y.high) for each in drawn}) == 1
     assert [each.series["a"][0].y for each in drawn] == [20.0, 22.0, 24.0]
+    assert [sorted(each.series) for each in drawn] == [["a", "b", "oracle"]] * 3
     one = {key: value for key, value in SCENES.items() if key[0] == "one"}
     assert multiples(material(one), page) is None  # type: ignore[arg-type]
     assert multiples(material(SCENES, study=False), page) is None  # type: ignore[arg-type]

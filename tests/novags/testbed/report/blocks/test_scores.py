@@ -154,7 +154,8 @@ def test_the_best_is_marked_where_another_is_seen_to_be_worse(ranks: tuple[int, 
 
 def test_a_line_is_compared_with_all_lines_of_its_place_and_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
     near: dict[str, list[int]] = {}
-    lines = [line(k // 2, "ab"[k % 2], {"run": k, "state": "done"}, **{"lit.psnr": (20.0, None)}) for k in range(4)]
+    lines = [line(level, name, {"run": k, "state": "done"}, **{"lit.psnr": (20.0, None)})
+             for k, (level, name) in enumerate(((0, "a"), (1, "a"), (1, "b"), (2, "b")))]  # fmt: skip
     for k, each in enumerate(lines):
         each.places["lit.psnr"] = k
 
@@ -167,7 +168,20 @@ def test_a_line_is_compared_with_all_lines_of_its_place_and_no_other(monkeypatch
     material: Any = SimpleNamespace(one=None, lines=lines, rows=[], varied=["level"], looks=looks, lost=0, study=None,
                                     made={}, commands={}, path=Path("g/report.html"))  # fmt: skip
     scores.scores(material, SimpleNamespace(views={}))  # type: ignore[arg-type]
-    assert near == {"a0": [0, 1], "b0": [0, 1], "a1": [2, 3], "b1": [2, 3]}
+    assert near == {"a0": [0], "a1": [1, 2], "b1": [1, 2], "b2": [3]}
+
+
+def test_where_no_score_decides_the_places_are_by_the_first_column() -> None:
+    lines = [line(0, name, {"run": k, "state": "done"}, **{"lit.psnr": (20.0, None), "lit.lpips": (0.1, None)})
+             for k, name in enumerate("ab")]  # fmt: skip
+    lines[0].places["lit.lpips"], lines[1].places["lit.lpips"] = 2, 1  # the other way round
+    looks = {name: look(name) for name in "ab"}
+    material: Any = SimpleNamespace(one=None, lines=lines, rows=[], varied=[], looks=looks, lost=0, study=None, made={},
+                                    commands={}, path=Path("g/report.html"))  # fmt: skip
+    table = scores.scores(material, SimpleNamespace(views={}))["table"]  # type: ignore[arg-type]
+    assert [[cell.text for cell in row.cells] for row in table.rows] == [
+        ["1", "a", "1", "20.00", "0.100"], ["2", "b", "1", "20.00", "0.100"],
+    ]  # fmt: skip
 
 
 def test_a_line_of_several_axes_has_a_cell_for_each() -> None:

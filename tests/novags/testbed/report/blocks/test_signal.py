@@ -102,7 +102,8 @@ def test_the_codes_of_photographs_are_of_all_views_that_are_shown(monkeypatch: p
 
 def test_every_combination_has_the_shares_that_a_run_of_it_knows() -> None:
     quantiles = {key: 10.0 * (k + 1) for k, key in enumerate(SHARES)}
-    lines = [Line({"electrons": e}, method, []) for e in (5, 50) for method in ("gone", "naive")]
+    methods = {5: ("gone", "naive"), 50: ("naive", "gone")}
+    lines = [Line({"electrons": e}, method, []) for e, names in methods.items() for method in names]
     captured = {"signal_quantiles_e": quantiles, "sensor_name": "eye"}
     here = {id(line): [SimpleNamespace(captured=captured)] for line in lines if line.method == "naive"}
     material: Any = SimpleNamespace(one=None, lines=lines, of=lambda line: here.get(id(line), []))

@@ -50,11 +50,11 @@ def plan(*effects: dict[str, Any], bound: float = 0.1, **biases: float) -> dict[
 
 
 def test_every_plan_counts_in_the_effects_and_in_what_leaving_them_out_costs() -> None:
-    """The first plan has neither the largest cost nor all of the effects."""
+    """The first plan has the largest bound in codes, and neither the largest cost nor all of the effects."""
     plans = [
-        plan(effect("read_noise", True, 1.0), effect("fog", False), bound=0.25),
+        plan(effect("read_noise", True, 1.0), effect("fog", False), bound=0.75),
         plan(effect("read_noise", False, 2.0, "q"), effect("fog", False), effect("glass", False, 3.0), noise=0.5),
-        plan(effect("read_noise", False, 4.0), effect("fog", False), effect("glass", True, forced=True), bound=0.75,
+        plan(effect("read_noise", False, 4.0), effect("fog", False), effect("glass", True, forced=True), bound=0.25,
              noise=0.125),
     ]  # fmt: skip
     made = {k: SimpleNamespace(set=Path("s"), rendered={}, capture=Path(f"{k}"), captured={"plan": each})

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from novags.testbed.report.blocks import training as module
-from novags.testbed.report.blocks.training import fits, smoothed, training
+from novags.testbed.report.blocks.training import fits, losses, smoothed, training
 
 
 def test_fits_of_one_run_stand_one_after_the_other() -> None:
@@ -44,6 +44,24 @@ def test_the_losses_of_every_run_are_drawn_over_all_their_iterations(monkeypatch
     assert (x.low, x.high) == (0.0, 410.0)
     assert y.low <= np.log10(0.01)
     assert y.high >= np.log10(8.0)
+
+
+def test_a_fit_whose_last_loss_is_not_finite_is_drawn_up_to_there() -> None:
+    events = [{"iteration": k, "photometric": loss} for k, loss in ((10, 0.5), (20, "nan"))]
+    place = SimpleNamespace(runs={"a": SimpleNamespace(events=lambda: events)}, rows={"a": SimpleNamespace(key="key")})
+    found = training(SimpleNamespace(one=place), None)  # type: ignore[arg-type]
+    assert found is not None
+    assert found["key"] == [("a", "key")]
+
+
+def test_a_chart_of_losses_holds_the_first_and_the_last_of_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn = list[Any]()
+    monkeypatch.setattr(module, "Chart", lambda *a: drawn.append(a) or SimpleNamespace(svg=lambda: "svg"))
+    losses({"a": [(10, 8.0), (20, 2.0), (30, 0.5)]}, {"a": "key"})
+    ((_, x, y, (series,)),) = drawn
+    assert [(point.x, point.y) for point in series.points] == [(10, 8.0), (20, 2.0), (30, 0.5)]
+    assert x.high == 30
+    assert y.low < np.log10(0.5) < np.log10(8.0) < y.high
 
 
 def test_a_page_without_losses_has_no_such_block() -> None:

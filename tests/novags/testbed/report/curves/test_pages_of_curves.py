@@ -12,7 +12,7 @@ from novags.testbed.report.charts import DISC, label
 from novags.testbed.report.curves import figure as module
 from novags.testbed.report.curves import page
 from novags.testbed.report.curves.figure import DIAMOND, _panel, _series, figure
-from novags.testbed.report.curves.table import heading, said, tables
+from novags.testbed.report.curves.table import heading, joined, said, tables
 
 SVG = "{http://www.w3.org/2000/svg}"
 KNOBS = ("nova.steps", "nova.way", "nova.lone", "other.size")
@@ -95,10 +95,11 @@ def test_every_point_is_in_the_way_of_labels(points: list[dict[str, Any]], monke
 
 
 def test_every_subject_in_a_page_says_how_it_was_measured(points: list[dict[str, Any]]) -> None:
-    ends = {name: page.marks(name) for name in ("nova", "other", "third")}
+    points = [point("lone.size", "s0", 1.0, 1.0, repeats=7), *points]
+    ends = {name: page.marks(name) for name in ("nova", "other", "third", "lone")}
     text = "\n".join(f"# {name}\n{begin}\nold {name}\n{end}" for name, (begin, end) in ends.items())
     found = page.embedded(text, points)  # type: ignore[arg-type]
-    for name in ("nova", "other"):
+    for name in ("nova", "other", "lone"):
         own = [one for one in points if one["knob"].startswith(f"{name}.")]
         part = found[found.index(f"# {name}") :].partition("<!-- end")[0]
         assert heading(own) in part
@@ -114,9 +115,36 @@ def test_every_point_has_a_row_and_decibels_where_any_has_them(points: list[dict
     assert text.count("The default, s2, is on the front") == 2
     own = [{**one, "error_unit": "RMSE of held-out views"} for one in points[:4]]
     assert "lost to the default" not in tables(own)
-    own[1] |= {"db_lost": 1.25, "db_lost_sd": 0.5}
-    assert "lost to the default" in tables(own)
-    assert "1.25 ± 0.5 dB" in tables(own)
+    for k in (0, 1, 3):
+        some = [one | {"db_lost": 1.25, "db_lost_sd": 0.5} if one is own[k] else one for one in own]
+        assert "lost to the default" in tables(some)
+        assert "1.25 ± 0.5 dB" in tables(some)
+
+
+def ended(points: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """With a knob of one point, which is its default, before and after all others."""
+    lone = [point(knob, "only", 1.0, 1.0, default=True) for knob in ("nova.begin", "other.end")]
+    return [lone[0], *points, lone[1]]
+
+
+def test_a_knob_of_one_point_has_a_table_that_tells_its_default(points: list[dict[str, Any]]) -> None:
+    text = tables(ended(points))
+    assert re.findall(r"^#### (.*)$", text, re.M) == ["nova.begin", *KNOBS, "other.end"]
+    assert text.count("The default, only, is on the front: it is.") == 2
+
+
+def test_one_table_of_all_knobs_has_a_row_for_every_setting(points: list[dict[str, Any]]) -> None:
+    head, *found = joined(ended(points))
+    assert (head[:3], head[-1]) == (["knob", "setting", "default"], "reason")
+    default = {"only": "yes", "s2": "yes"}
+    settings = [(knob, f"s{k}") for knob in KNOBS for k in range(4)]
+    assert [tuple(row[:3]) for row in found] == [
+        (knob, setting, default.get(setting, ""))
+        for knob, setting in [("nova.begin", "only"), *settings, ("other.end", "only")]
+    ]
+    for row in found:
+        own = [one for one in ended(points) if one["knob"] == row[0]]
+        assert row[-1] == (said(own) if row[2] else "")
 
 
 @pytest.mark.parametrize("k", [0, 1, 3])
@@ -130,4 +158,5 @@ def test_a_default_that_any_point_beats_clearly_is_said_to_be(points: list[dict[
 
 def test_the_heading_says_how_often_the_points_were_measured(points: list[dict[str, Any]]) -> None:
     assert "Repetitions: 2 to 5. Machine: P, 2 cores." in heading(points)
+    assert "Repetitions: 2 to 5." in heading(points[:4])
     assert "Repetitions: 4." in heading([{**one, "repeats": 4} for one in points])

@@ -7,6 +7,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+import pytest
 
 from novags.testbed.report.look.album import Album, files_of
 from novags.testbed.report.look.maps import colour_map
@@ -123,3 +124,26 @@ def test_all_data_go_beside_a_page_that_pictures_have_filled(tmp_path: Path) -> 
     for i, script in enumerate(album._scripts):
         assert not script.inside
         assert base64.b64encode(bytes([9 - i]) * 9_000).decode() in (tmp_path / str(script.file)).read_text()
+
+
+def test_every_picture_that_fits_is_in_the_page(tmp_path: Path) -> None:
+    album = Album(tmp_path / "page.html")
+    pictures = [album.add(np.full((8, 8, 3), level, np.float32)) for level in (0.2, 0.6, 1.0)]
+    album.settle()
+    assert [int(decoded(picture.src)[0, 0, 0]) for picture in pictures] == [51, 153, 255]
+
+
+@pytest.mark.parametrize("short", [0, 1])
+def test_data_stay_in_a_page_that_holds_them_and_all_thumbnails(short: int, tmp_path: Path) -> None:
+    def make(inside: int) -> tuple[list[Any], Any]:
+        album = Album(tmp_path / "page.html", inside)
+        found = [album.add(np.random.default_rng(seed).random((96, 96, 3)).astype(np.float32)) for seed in (0, 1)]
+        data = album.add_data("probe-x", b"numbers")
+        album.settle()
+        return found, data
+
+    thumbnails, _ = make(inside=0)
+    needed = sum(len(picture.src) for picture in thumbnails) + len(base64.b64encode(b"numbers"))
+    pictures, data = make(inside=needed - short)
+    assert all(picture.full is not None for picture in pictures)
+    assert data.inside == (not short)
