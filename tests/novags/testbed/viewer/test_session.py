@@ -75,7 +75,8 @@ def scored(folder: Path, source: dict[str, Path], values: dict[str, float]) -> l
         stages.score(folder / name, Console(quiet=True))
         found = json.loads((folder / name / "metrics.json").read_text())
         (scores,) = found["methods"].values()
-        scores["mean"]["enhanced"]["aligned_psnr"] = value
+        for own in (scores["mean"], *scores["views"].values()):
+            own["enhanced"]["aligned_psnr"] = value
         (folder / name / "metrics.json").write_text(json.dumps(found))
         unsealed(folder / name / "metrics.json")
     return [folder / "first", folder / "second"]
