@@ -18,7 +18,7 @@ from novags.testbed.console.terminal import Console  # noqa: E402
 from novags.testbed.folders.runs import runs_in  # noqa: E402
 from novags.testbed.metrics.differences import Estimate  # noqa: E402
 from novags.testbed.report.page import report_path, write_reports  # noqa: E402
-from novags.testbed.report.place import places_in, title_of  # noqa: E402
+from novags.testbed.report.place import merged, places_in, title_of  # noqa: E402
 from novags.testbed.stages.configs.capturing import CaptureConfig  # noqa: E402
 from tests.fuzz.readers.records import make_run  # noqa: E402
 
@@ -102,6 +102,15 @@ def test_only_runs_of_one_capture_are_compared_and_bounds_are_found_among_them(r
     assert values(over) == {"naive-l1": 2.5, "one/oracle": 8.0, "two/oracle": 10.0}
     lit, _ = bright.deltas("lit")
     assert lit["two/oracle"].value == pytest.approx(5.0)
+
+
+def test_a_run_that_is_enhanced_otherwise_has_no_share_of_the_noise_free_exposure(runs: Path) -> None:
+    _, bright = places_in([runs], QUIET)
+    bright.runs["naive-l1"].record["enhancement"] = {"enhancer": "darker", "config": {}}
+    found = merged(bright.runs)
+    assert found["recovered"] == {}
+    assert found["recovered_lit"].keys() == {"naive-l1"}
+    assert values(bright.deltas("enhanced")[0]) == {"one/oracle": 8.0, "two/oracle": 10.0}
 
 
 def test_without_a_floor_differences_are_to_the_first_run_and_nothing_is_recovered(runs: Path) -> None:

@@ -54,6 +54,16 @@ def test_the_share_that_a_method_recovers_stands_beside_its_gain_over_the_floor_
     assert shares == {("mine", "naive"): pytest.approx(0.3), ("oracle", "naive"): None, ("oracle", "mine"): None}
 
 
+@pytest.mark.parametrize("order", [("naive", "mine", "oracle"), ("mine", "oracle", "naive")])
+def test_a_share_is_given_in_any_order_of_the_methods_and_none_of_two_enhancements(order: tuple[str, ...]) -> None:
+    found = [finished("s", seed, method) for method in order for seed in (0, 1)]
+    assert row(rows_of(AXES, found), "s", "mine", "naive", "enhanced.aligned_psnr")["recovered"] == pytest.approx(0.2)
+    found = [finished("s", seed, method, "xy"[method == "oracle"]) for method in order for seed in (0, 1)]
+    rows = rows_of(AXES, found)
+    assert row(rows, "s", "mine", "naive", "enhanced.aligned_psnr")["recovered"] is None
+    assert row(rows, "s", "mine", "naive", "lit.tone_aligned_psnr")["recovered"] == pytest.approx(0.2)
+
+
 def test_noise_free_references_of_two_enhancements_are_not_compared() -> None:
     mixed = [finished("s", 0, "naive"), finished("s", 0, "mine", tone="y")]
     assert [each["score"] for each in rows_of(AXES, mixed)] == ["lit.tone_aligned_psnr"]

@@ -60,6 +60,18 @@ def test_every_method_recovers_its_share_between_the_bounds_of_its_own_place(tmp
     assert again["t", 1] == pytest.approx(0.7)
 
 
+def test_a_run_of_another_enhancement_recovers_nothing_of_a_reference_that_is_not_its_own(tmp_path: Path) -> None:
+    made = table(tmp_path)
+    (tmp_path / "store" / "run" / "s0mine").mkdir(parents=True)
+    record = json.dumps({"enhancement": {"enhancer": "darker", "config": {}}})
+    (tmp_path / "store" / "run" / "s0mine" / "run.json").write_text(record, "utf-8")
+    rows = made.rows({key: State("done") for _, key in made.plan.runs})
+    found = {(row["scene"], row["seed"]): row for row in rows if row["method"] == "mine"}
+    assert "recovered" not in found["s", 0]
+    assert found["s", 0]["recovered_lit"] == pytest.approx(0.4)
+    assert found["s", 1]["recovered"] == pytest.approx(0.5)
+
+
 def test_rows_of_finished_runs_that_are_still_there_stand(tmp_path: Path) -> None:
     plan = study(tmp_path)
     (tmp_path / "out").mkdir()

@@ -176,6 +176,18 @@ def test_the_chart_is_over_the_light_where_that_varies_and_over_the_time_elsewhe
     assert [(point.x, round(point.y, 9)) for point in light.series["b"]] == [(5.0, 23.0), (50.0, 28.0)]
 
 
+def test_the_error_in_the_chart_over_time_is_over_scenes_and_not_over_conditions(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of one scene with two conditions 5 dB apart no error is known."""
+    drawn = charts(monkeypatch)
+    monkeypatch.setattr(module, "ELECTRONS", "another axis")
+    ranking(material({("one", electrons, name): 20.0 + electrons / 10 for electrons in (5.0, 55.0) for name in "ab"}))
+    (time,) = drawn
+    assert time.x.label == "seconds to reconstruct"
+    assert [(point.y, point.low, point.high) for point in time.series["a"]] == [(23.0, 23.0, 23.0)]
+
+
 def test_the_time_of_a_method_is_the_mean_over_all_its_runs() -> None:
     found = material(SCENES)
     for row in found.rows:
