@@ -13,6 +13,7 @@ from novags.splats.cpu import parallel
 from novags.splats.cpu.chains import stages
 from novags.splats.cpu.compiler import kernel
 from novags.splats.training import direct
+from novags.splats.training.guard import all_finite
 
 loop = importlib.import_module("novags.splats.training.fit")  # the package has a function of that name
 CONFIG = FitConfig(
@@ -238,3 +239,11 @@ def test_a_loss_with_a_gradient_of_its_own_needs_no_autograd_and_gives_the_same(
     assert (plain.direct, plain.by_autograd) == (0, CONFIG.iterations)
     for name, tensor in found.gaussians.tensors().items():
         assert torch.equal(tensor, want.gaussians.tensors()[name]), name
+
+
+@pytest.mark.parametrize("place", range(3))
+def test_a_number_that_is_not_finite_is_found_wherever_it_stands(place):
+    tensors = [torch.ones(2) for _ in range(3)]
+    assert all_finite(tensors)
+    tensors[place][1] = torch.nan
+    assert not all_finite(tensors)

@@ -229,7 +229,13 @@ def test_what_differs_from_any_row_to_another_is_varied() -> None:
     rows = [{"scene": "a", "level": 1, "seed": 0, "method": name} for name in "xyz"]
     rows[-1] |= {"level": 2, "seed": 1}
     nothing: Any = {}
-    found = Material(
-        Path("r.html"), rows, dict.fromkeys(("scene", "level", "method", "seed"), ()), nothing, nothing, {}
-    )
+    axes: dict[str, Any] = dict.fromkeys(("level", "scene", "method", "seed"), ())
+    found = Material(Path("r.html"), rows, axes, nothing, nothing, {})
     assert found.varied == ["level", "seed"]
+
+
+def test_the_title_of_a_study_counts_the_values_of_all_its_runs() -> None:
+    rows = [{"electrons": light, "method": name} for light, name in zip((5.0, 20.0, 20.0), "xyz", strict=True)]
+    axes: dict[str, Any] = dict.fromkeys(("electrons", "method"), ())
+    found = Material(Path("r.html"), rows, axes, {}, {}, {}, study=(Path("f"), {"file": "s.toml"}))
+    assert found.title == "s: 2 light levels (5, 20 electrons) × 3 methods"
