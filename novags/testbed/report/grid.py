@@ -264,7 +264,7 @@ def _made_alike(several: Sequence[dict[str, Values]], column: str) -> None:
 
 def _best_first(members: Sequence[Line]) -> list[Line]:
     """The lines of one place by the score that decides; those without it last."""
-    main = MAIN if all(line.alike for line in members) else MAIN[::-1]
+    main = MAIN if members[0].alike else MAIN[::-1]  # as all lines of a place
     column = next((each for each in main if any(each in line.values for line in members)), "")
     names = order({line.method: line.values[column] for line in members if column in line.values}, True)
     return sorted(members, key=lambda line: names.index(line.method) if line.method in names else len(names))

@@ -9,7 +9,13 @@ import numpy as np
 import pytest
 import rawpy
 
-from novags.testbed.folders.photographs.raw_files import read_digital_numbers, read_format, read_mosaic, read_radiance
+from novags.testbed.folders.photographs.raw_files import (
+    first_colors,
+    read_digital_numbers,
+    read_format,
+    read_mosaic,
+    read_radiance,
+)
 from sensor_model import PRESETS, Exposure, Sensor, write_dng
 from sensor_model.files.dng import XYZ_TO_SRGB
 from tests.dngs import NEUTRAL, mosaic_of
@@ -190,3 +196,14 @@ def test_a_raw_file_of_an_odd_side_is_read(size: tuple[int, int], tmp_path: Path
     """Rationale: one place of green then has a row or a column of blocks more than the other."""
     codes = mosaic_of(np.full((64, 96, 3), 0.2) * np.linspace(0.2, 1, 96)[:, None], 512)[: size[0], : size[1]]
     np.testing.assert_array_equal(read_digital_numbers(write_tags(tmp_path / "a.dng", codes, black=[512.0])), codes)
+
+
+def test_the_first_raw_file_has_the_colours_of_all_whatever_stands_before_it(tmp_path: Path) -> None:
+    files = [tmp_path / f"{i}.dng" for i in range(3)]
+    for file, red in zip(files, (0.5, 0.6, 0.7), strict=True):
+        write_tags(file, mosaic_of(np.full((24, 32, 3), 0.2), 512), {50728: ("R", [red, 1.0, 0.7])}, black=[512.0])
+    for before in ([], [tmp_path / "a.exr", tmp_path / "b.exr"]):
+        found = first_colors([*before, *files])
+        assert found is not None
+        assert found.response[0] == pytest.approx(0.5, abs=1e-4)
+    assert first_colors([tmp_path / "a.exr"]) is None

@@ -163,6 +163,14 @@ def test_pairs_of_a_data_set_by_order_are_said_and_refused_where_numbers_have_an
         twins_by_order(dark, pictures(tmp_path / "lit", NUMBERS), QUIET)
 
 
+@pytest.mark.parametrize("other", [None, 0, 4, VIEWS - 1])
+def test_pairs_by_order_are_said_if_any_name_is_another(other: int | None, tmp_path: Path) -> None:
+    names = [f"{name}x" if i == other else name for i, name in enumerate(NUMBERS)]
+    told = io.StringIO()
+    twins_by_order(dark_views(tmp_path / "dark", NUMBERS), pictures(tmp_path / "lit", names), Console(stream=told))
+    assert ("paired by order" in told.getvalue()) == (other is not None)
+
+
 def masked(folder: Path, suffix: str) -> Path:
     """Photographs, and a mask beside each."""
     for i, name in enumerate(NUMBERS):

@@ -121,6 +121,17 @@ def test_where_a_mean_alone_is_known_of_some_run_all_are_compared_by_means() -> 
     assert [line.places[PSNR] for line in lines] == [1, 1]
 
 
+@pytest.mark.parametrize("failed", range(3))
+def test_lines_of_a_place_stand_by_their_score_and_a_failed_one_last(failed: int) -> None:
+    methods = [*"xy"]
+    methods.insert(failed, "failed")
+    table = [{"run": k, "scene": "s", "electrons": 5, "method": name, "seed": 0, "state": "done", PSNR: 20.0 + k}
+             for k, name in enumerate(methods, 1)]  # fmt: skip
+    table[failed]["state"] = "failed"
+    lines = lines_of(table, AXES, dict.fromkeys(methods, True))
+    assert [line.method for line in lines] == ["y", "x", "failed"]
+
+
 def test_a_difference_says_how_many_scenes_it_is_of() -> None:
     """c is known of one scene; and of a study under way no scene has both methods at 50 electrons."""
     axes = {"scene": list("stu"), "electrons": (5, 50), "method": list("abc"), "seed": (0, 1)}

@@ -51,8 +51,12 @@ def test_dark_current_is_no_signal_and_a_fixed_pattern_is_noise() -> None:
     capture = known(clean=146.0, mean=149.0, variance=7.0)  # 40 of light, 6 of dark current; 3 off
     assert dark_dn(capture) == 106
     assert snr_db(capture) == pytest.approx(10 * log10(40**2 / (7 + 3**2)))
-    capture.record.simulated.plan["effects"][1]["on"] = False
+    effects = capture.record.simulated.plan["effects"]
+    effects[1]["on"] = False
     assert dark_dn(capture) == 100
+    for _ in effects:  # wherever it stands
+        effects.append(effects.pop(0))
+        assert dark_dn(capture) == 100
     capture.record.simulated.plan = None  # all is simulated
     assert dark_dn(capture) == 106
 
