@@ -141,12 +141,16 @@ def test_a_file_states_the_black_of_each_filter_and_its_own_white(channels: int 
     assert found.white == int(camera.white_dn) > camera.black_level
 
 
-def test_raw_colours_that_are_developed_here_go_through_the_matrix_of_the_file(tmp_path: Path) -> None:
-    """Four black levels, which LibRaw would take for one, and a matrix that is not its own transpose."""
+@pytest.mark.parametrize("brighter", [1.0, 7.0])
+def test_raw_colours_that_are_developed_here_go_through_the_matrix_of_the_file(brighter: float, tmp_path: Path) -> None:
+    """Four black levels, which LibRaw would take for one, and a matrix that is not its own transpose. A channel that is
+    clipped has no more light than white.
+    """
     matrix = np.array([[1.6, -0.5, -0.1], [-0.2, 1.5, -0.3], [0.1, -0.6, 1.5]])
-    color, levels = np.array([0.3, 0.1, 0.05]), [500.0, 520.0, 540.0, 560.0]
-    light = np.broadcast_to(np.linalg.inv(matrix) @ color, (48, 64, 3))
-    codes = mosaic_of(light, np.tile(np.reshape(levels, (2, 2)), (24, 32)))
+    levels = [500.0, 520.0, 540.0, 560.0]
+    seen = brighter * (np.linalg.inv(matrix) @ [0.3, 0.1, 0.05])
+    color = np.clip(matrix @ np.minimum(seen, 1.0), 0, 1)
+    codes = mosaic_of(np.broadcast_to(seen, (48, 64, 3)), np.tile(np.reshape(levels, (2, 2)), (24, 32)))
     to_camera = NEUTRAL[:, None] * (np.linalg.inv(matrix) @ XYZ_TO_SRGB)
     extra: Any = {50713: ("H", [2, 2]), 50721: ("S", to_camera.ravel().tolist())}
     file = write_tags(tmp_path / "a.dng", codes, extra, black=levels)

@@ -70,8 +70,9 @@ def test_depths_of_all_runs_are_in_the_unit_of_the_truth(tiles: Any) -> None:
     assert tiles.notes["depth-a"] == f"depth, {near:.3g} to {far:.3g}"
 
 
-def test_the_pictures_of_every_method_stand_in_its_row_and_all_others_have_a_row() -> None:
-    keys = ("render-a dark input-enhanced render-b error-b depth-a normal-b truth-clean depth-true normal-true "
+@pytest.mark.parametrize("first", ["render-a dark", "dark render-a"])
+def test_the_pictures_of_every_method_stand_in_its_row_and_all_others_have_a_row(first: str) -> None:
+    keys = (f"{first} input-enhanced render-b error-b depth-a normal-b truth-clean depth-true normal-true "
             "truth-lit linear-b lit-b").split()  # fmt: skip
     tiles = tuple(Tile(key, key, "", "", None) for key in keys)  # type: ignore[arg-type]
     rows = {row: [tile and tile.key for tile in own] for row, own in ViewTiles("0000", True, 4, 3, tiles).rows}
