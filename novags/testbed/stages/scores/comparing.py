@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from novags.methods import METHODS
-from novags.testbed.metrics.differences import Estimate, Values, difference, is_span, share
+from novags.testbed.metrics.differences import LEVEL, Estimate, Values, difference, is_span, quantile, share
 from novags.testbed.metrics.truth import ERROR
 
 # dB between the floor and the ceiling. Methods differ in more than what they do with noise: other learning rates alone
@@ -138,7 +138,10 @@ def gains(span: Estimate | None) -> bool | None:
     """Whether the ceiling is above the floor by more than other rates would make; None where the error is too large to
     tell.
     """
-    if span is None or span.value + (span.half or 0.0) <= NO_GAIN:
+    if span is None:
+        return False
+    above = 0.0 if span.error is None else quantile(span.freedom, 2 * LEVEL - 1) * span.error  # one side alone counts
+    if span.value + above <= NO_GAIN:
         return False
     return True if span.error is None or is_span(span, NO_GAIN) else None
 

@@ -154,7 +154,8 @@ def test_a_run_of_another_enhancement_has_another_noise_free_reference_and_no_sh
 @pytest.mark.parametrize(
     ("apart", "known"),
     [((3.6, 4.4), None), ((2.4, 4.2, 1.9), None), ((4.0, 4.1, 3.9), True), ((0.5, 0.51, 0.49), False),
-     ((0.5, 1.6), None), ((0.0, 1.8), None), ((3.0,), True), ((0.5,), False)],
+     ((0.5, 1.6), None), ((0.0, 1.8), None), ((0.54, 0.7, 0.86), False), ((0.5, 0.7, 0.9), None),
+     ((3.0,), True), ((0.5,), False)],
 )  # fmt: skip
 def test_a_gain_that_few_views_cannot_tell_is_neither_there_nor_not(
     apart: tuple[float, ...], known: bool | None
