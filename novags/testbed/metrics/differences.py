@@ -135,7 +135,7 @@ def difference(one: Values, other: Values) -> Estimate | None:
 
 
 def share(one: Values, floor: Values, ceiling: Values, least: float = 0.0) -> Estimate | None:
-    """(one - floor) / (ceiling - floor), by means over what all three have, with the ratio's error (delta method).
+    """(one - floor) / (ceiling - floor), by means over common values, with the ratio's error (delta method).
 
     None where the span is below `ERRORS` of its standard errors, is not seen, or is not above `least`: a ratio of two
     scatters says nothing.
@@ -160,8 +160,8 @@ def is_span(span: Estimate, least: float = 0.0) -> bool:
 def places(values: Mapping[str, Values], more: bool, digits: int) -> dict[str, int]:
     """The place of each: 1 and how many are seen to be better; those that are not seen to differ share it.
 
-    Two are compared by the values that both have, whatever else either has. Means that are printed alike differ by
-    nothing. Where nothing repeats, as in counts and costs, the one pair of values decides.
+    Two methods are compared by the values that both have. Means that are printed alike differ by nothing. Where nothing
+    repeats, as in counts and costs, the one pair of values decides.
 
     Args:
         values: The scores of each.
@@ -179,9 +179,9 @@ def places(values: Mapping[str, Values], more: bool, digits: int) -> dict[str, i
 
 
 def order(values: Mapping[str, Values], more: bool) -> list[str]:
-    """Names, best first: by how many of the others each is ahead of, by the values that both have; then by its mean.
+    """Names, best first: by the number of others that a method beats on the values that both have, then by its mean.
 
-    Of values that all have alike, it is the order of the means.
+    Where all methods have the same scenes, seeds and views, this is the order of the means.
     """
     means = {name: _mean(own) * (1 if more else -1) for name, own in values.items() if own}
     ahead = {name: sum((found := _lead(values[name], values[other], more)) is not None and found[0] > 0
@@ -190,7 +190,7 @@ def order(values: Mapping[str, Values], more: bool) -> list[str]:
 
 
 def _mean(values: Values) -> float:
-    """As it is printed; infinite if a score is."""
+    """The mean that tables print; infinite if a score is infinite."""
     found = estimate(values) if all(map(isfinite, values.values())) else None
     return fmean(values.values()) if found is None else found.value
 

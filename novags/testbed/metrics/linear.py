@@ -66,13 +66,13 @@ def linear_scores(
 
     With the two `halves` of a rendered truth: without its noise, and with the standard error, as `image_scores`.
     """
-    known = gain is not None and not is_black(reference)
+    gain = None if gain is None or is_black(reference) else gain
     if halves is None:
-        return {"linear_psnr": linear_psnr(image, reference, gain) if known and gain is not None else None}
+        return {"linear_psnr": None if gain is None else linear_psnr(image, reference, gain)}
     pair = [np.clip(light, 0.0, 1.0) for light in halves]
     variance = variance_of(*pair)
     found: tuple[float | None, float | None] = (None, None)
-    if known and gain is not None:
+    if gain is not None:
         check_pair(image, reference)
         exposed, true = (np.clip(light, 0.0, 1.0) for light in (image * np.float32(gain), reference))
         found = squared_error(exposed, true, variance).decibels(PSNR_CEILING)

@@ -251,20 +251,19 @@ def _value(row: Row, column: str) -> float | None:
 
 
 def _made_alike(several: Sequence[dict[str, Values]], column: str) -> None:
-    """Where of some run the mean alone is known, let it be so of all: views and means have nothing in common."""
-    own = [values[column] for values in several if column in values]
-    if any(not view for each in own for _, _, view in each):
-        for values in several:
-            if column in values:
-                runs = dict[tuple[str, str], list[float]]()
-                for (scene, seed, _), value in values[column].items():
-                    runs.setdefault((scene, seed), []).append(value)
-                values[column] = {(*run, ""): fmean(found) for run, found in runs.items()}
+    """Replace views by the mean of their run, if any run has a mean alone: views and means cannot be paired."""
+    own = [values for values in several if column in values]
+    if any(not view for values in own for _, _, view in values[column]):
+        for values in own:
+            runs = dict[tuple[str, str], list[float]]()
+            for (scene, seed, _), value in values[column].items():
+                runs.setdefault((scene, seed), []).append(value)
+            values[column] = {(*run, ""): fmean(found) for run, found in runs.items()}
 
 
 def _best_first(members: Sequence[Line]) -> list[Line]:
     """The lines of one place by the score that decides; those without it last."""
-    main = MAIN if members[0].alike else MAIN[::-1]  # as all lines of a place
+    main = MAIN if members[0].alike else MAIN[::-1]  # all lines of a place agree
     column = next((each for each in main if any(each in line.values for line in members)), "")
     names = order({line.method: line.values[column] for line in members if column in line.values}, True)
     return sorted(members, key=lambda line: names.index(line.method) if line.method in names else len(names))

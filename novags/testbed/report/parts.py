@@ -145,8 +145,8 @@ def num(
     value: Any, shown: str | int = 2, *, rank: int | None = None, best: bool = False,
     beside: Mapping[str, Any] = MappingProxyType({}),
 ) -> TableCell:  # fmt: skip
-    """A number, with the text that shows it or with so many digits; `beside`: what a CSV has in columns of their own,
-    `sd`, `error` and `scenes` of tables.js, where they are not None.
+    """A number, with the text that shows it or with so many digits; `beside`: further columns of the CSV, `sd`, `error`
+    and `scenes` (tables.js); None leaves one out.
     """
     said = shown if isinstance(shown, str) else number(value, shown)
     kind = " best" if best else " muted" if value is None and said else ""

@@ -118,7 +118,7 @@ def scene_of(lit: Source) -> str:
 
 
 def enhancements_of(runs: Mapping[str, Run]) -> dict[str, str]:
-    """What the noise-free reference of each run is enhanced by, to compare."""
+    """The enhancement of each run's noise-free reference, as text to compare."""
     return {name: enhancement_of(run.record) for name, run in runs.items()}
 
 

@@ -186,7 +186,7 @@ def _write(out: Path, axes: Mapping[str, Any], rows: list[dict[str, Any]]) -> No
 
 
 def _enhancement(folder: Path) -> str:
-    """What the noise-free reference of the run in a folder is enhanced by, to compare."""
+    """The enhancement of the noise-free reference of the run in a folder, as text to compare."""
     return enhancement_of(read_json(folder / RECORD) if (folder / RECORD).is_file() else {})
 
 

@@ -34,8 +34,8 @@ from simscenes.sets.readers.photographs import (
 )
 
 SUFFIXES = (".exr", *raw_files.SUFFIXES)
-# A raw file this many times as large as a picture of the same shape is no frame around it: margins have some dozen px,
-# and as many on each side, which changes the shape. Sides that are rounded to pixels have ratios that differ a little.
+# From this factor on between two pictures of one shape, the smaller one was shrunk. A cut takes some dozen px from each
+# side, which changes the shape. Rounding to whole pixels changes the ratio of the sides a little.
 LARGER, SAME_SHAPE = 1.01, 0.001
 WHITE_QUANTILE = 0.99  # of an EXR image's light, whose unit is unknown, becomes white in its 8-bit picture
 
@@ -209,7 +209,7 @@ def within_margins(file: Path, whole: tuple[int, int], part: tuple[int, int]) ->
 
 
 def shrunk_by(whole: tuple[int, int], part: tuple[int, int]) -> float:
-    """How many times as large as a picture of the same shape another one is; 1 where it is no larger."""
+    """The factor by which a picture of size `whole` was shrunk to size `part`; 1 if it was cut, or not changed."""
     x, y = (outer / max(inner, 1) for outer, inner in zip(whole, part, strict=True))
     return x if x > LARGER and abs(x / y - 1) < SAME_SHAPE else 1.0
 

@@ -122,10 +122,11 @@ def recovered_fractions(
 def _of_one_reference(
     values: dict[str, Values], bounds: Iterable[str], kind: str, enhancements: Mapping[str, str]
 ) -> dict[str, Values]:
-    """The runs whose reference is that of the bounds: the noise-free exposure is enhanced as its run is."""
-    if kind != "enhanced" or len(tones := {enhancements.get(name) for name in bounds}) != 1:
-        return values if kind != "enhanced" else {}
-    return {name: own for name, own in values.items() if enhancements.get(name) in tones}
+    """The runs that share the reference of the bounds: every run has its own enhancement of the noise-free exposure."""
+    if kind != "enhanced":
+        return values
+    tones = {enhancements.get(name) for name in bounds}
+    return {name: own for name, own in values.items() if tones == {enhancements.get(name)}}
 
 
 def with_errors(estimates: Mapping[str, Estimate]) -> dict[str, float | None]:

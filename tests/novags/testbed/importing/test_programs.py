@@ -29,7 +29,9 @@ def test_a_timeout_ends_the_program_and_what_it_started(tmp_path: Path) -> None:
 
 
 # The children of a process are read from /proc, which only Linux has; elsewhere their memory is not counted.
-@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc/PID/task/TID/children")
+@pytest.mark.skipif(
+    sys.platform != "linux", reason="/proc lists the children of a process; other systems have no such files"
+)
 def test_memory_of_children_that_another_thread_started_counts(tmp_path: Path) -> None:
     """Rationale: only those of the main thread did; data loaders and pools start theirs elsewhere."""
     child = "import time; held = bytearray(b'1') * 150_000_000; time.sleep(1)"
