@@ -78,7 +78,8 @@ def fits_of(folder: Path, only: Mapping[str, str]) -> tuple[list[Fit], int]:
     for axis, value in only.items():
         there = [str(row[axis]) for row in rows if axis in row]
         if value not in there:
-            raise SystemExit(f"lengths.py: no run of {folder} has {axis}={value}: {', '.join(dict.fromkeys(there))}")
+            raise SystemExit(f"lengths.py: no run of {folder} has {axis}={value}: "
+                             f"{', '.join(dict.fromkeys(there)) or f'{axis} is no axis of the study'}")  # fmt: skip
         rows = [row for row in rows if str(row.get(axis)) == value]
     found = []
     for row in rows:
