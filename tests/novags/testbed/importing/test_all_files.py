@@ -4,11 +4,14 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from novags.testbed.console.terminal import Console
+from novags.testbed.importing.darkroom import SMALL, Darkroom
 from novags.testbed.stages import importing
 from novags.testbed.stages.configs.importing import ImportConfig
+from simscenes.sets.pictures.png import write_png
 
 QUIET = Console(quiet=True)
 
@@ -51,3 +54,16 @@ def test_a_picture_that_lost_something_is_recorded_whichever_it_is(
     darkroom = SimpleNamespace(camera=None, resampled=False, rig=found.dark.source.rig)
     prepared: Any = SimpleNamespace(darkroom=darkroom, match=None, resampled=0)
     assert importing.record_of(found, prepared, ImportConfig())["jpeg"] is lossy
+
+
+@pytest.mark.parametrize(("width", "height", "times"), [(96, 48, 4), (40, 120, 5), (20, 10, 1)])
+def test_pictures_are_compared_small_in_their_own_shape(width: int, height: int, times: int, tmp_path: Path) -> None:
+    """Expectation: the mean of squares of pixels and of their channels, on the longest side 24 px at most."""
+    codes = np.random.default_rng(0).integers(0, 256, (height, width, 3), np.uint8)
+    write_png(tmp_path / "a.png", codes)
+    nothing: Any = None
+    views: Any = SimpleNamespace(rig=SimpleNamespace(width=width, height=height))
+    darkroom = Darkroom(views=views, rig=views.rig, codes=nothing, lit_codes=nothing, camera=None, lit_colors=None)
+    small = codes.reshape(height // times, times, width // times, times, 3).mean((1, 3, 4))
+    assert max(small.shape) <= SMALL
+    np.testing.assert_allclose(darkroom.small(tmp_path / "a.png"), small, rtol=1e-5)

@@ -6,7 +6,8 @@ from typing import Any
 
 import pytest
 
-from novags.testbed.importing.dark import Dark, _raws_beside, _with_pictures
+from novags.testbed.console.terminal import Console
+from novags.testbed.importing.dark import Dark, _raws_beside, _with_pictures, open_dark
 
 
 def dark(folder: Path) -> Dark:
@@ -50,3 +51,16 @@ def test_all_folders_that_hold_pictures_are_found_and_none_inside_another(tmp_pa
         (tmp_path / name).touch()
     found = [path.relative_to(tmp_path).as_posix() for path in _with_pictures(tmp_path)]
     assert found == ["a", "b", "c/d", "c/e"]
+
+
+def test_a_folder_whose_pictures_lie_deeper_names_the_folders_that_hold_them(tmp_path: Path) -> None:
+    above, quiet = tmp_path / "above", Console(quiet=True)
+    for name in ("trip/dark/images/0.png", "trip/dark/transforms.json", "bare/images/0.png"):
+        (above / name).parent.mkdir(parents=True, exist_ok=True)
+        (above / name).touch()
+    said = "above holds no pictures itself; pictures with cameras are in trip/dark: give that folder"
+    with pytest.raises(ValueError, match=said):
+        open_dark(above, None, "own", None, quiet)
+    (above / "trip" / "dark" / "transforms.json").unlink()
+    with pytest.raises(ValueError, match="itself; pictures are in bare, trip/dark: give one of these folders"):
+        open_dark(above, None, "own", None, quiet)

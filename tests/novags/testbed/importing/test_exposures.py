@@ -15,6 +15,7 @@ from PIL.TiffImagePlugin import IFDRational
 from novags.testbed import stages
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders.photographs.raw_files import read_digital_numbers
+from novags.testbed.importing import raw_camera as module
 from novags.testbed.importing.exposures import check_exposed_alike, exposure_doubts, stated_of
 from novags.testbed.importing.raw_camera import raw_camera
 from novags.testbed.importing.stored import Codes16, is_lossy
@@ -25,6 +26,7 @@ from simscenes import orbit_rig
 from simscenes.sets.multiview import write_cameras
 from simscenes.sets.pictures.png import read_png, write_png
 from tests.dngs import write_dng as write_tags
+from tests.miniatures import write16
 
 QUIET = Console(quiet=True)
 CAMERA = PRESETS["a7s2-iso6400"]
@@ -174,6 +176,19 @@ def test_the_black_level_is_that_of_the_file(tmp_path: Path) -> None:
     assert found == pytest.approx(20 * CAMERA.gain / (real.white_dn - real.black_level), rel=0.05)  # 3 standard errors
 
 
+def test_black_levels_that_differ_between_the_colours_become_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rationale: methods are given one black level. Expectation: codes over their own black level stay as they are."""
+    plain, file = np.random.default_rng(0).integers(700, 900, (64, 64)).astype(np.uint16), tmp_path / "a.dng"
+    write_dng(file, plain, CAMERA, Exposure(time=0.1))
+    honest = module.read_format
+    monkeypatch.setattr(module, "read_format", lambda f: replace(honest(f), black=(511.0, 512.0, 514.0, 511.0)))
+    camera = raw_camera(file, None, "bilinear")
+    assert camera.sensor.black_level == 512.0
+    np.testing.assert_array_equal(camera.codes(file), plain.astype(int) + np.tile([[1, 0], [-2, 1]], (32, 32)))
+
+
 def test_levels_less_than_a_code_apart_are_a_cameras_too(tmp_path: Path) -> None:
     file = write_tags(tmp_path / "a.dng", np.full((64, 96), 1023), black=[1022.5], white=1023)
     camera = raw_camera(file, None, "bilinear")
@@ -202,6 +217,19 @@ def test_codes_are_light_between_their_own_black_and_white(curve: str) -> None:
     np.testing.assert_allclose(light, expected if curve == "linear" else srgb_to_linear(expected), atol=1e-6)
     eight = codes.linear(np.array([0, 128, 255], np.uint8))
     np.testing.assert_allclose(eight, srgb_to_linear(np.array([0, 128, 255]) / 255), atol=1e-6)
+
+
+@pytest.mark.parametrize("code", [100, 60000])
+def test_twins_are_of_full_range_as_soon_as_one_of_them_is_off_the_levels_of_the_dark_ones(
+    code: int, tmp_path: Path
+) -> None:
+    dark, files = Codes16(black=1000.0, white=9000.0, curve="srgb"), [tmp_path / f"{name}.png" for name in "abc"]
+    codes = np.random.default_rng(0).integers(1000, 9000, (8, 8, 3)).astype(np.uint16)
+    for other in (None, *files):
+        for file in files:
+            write16(file, np.full_like(codes, code) if file == other else codes)
+        wanted = dark if other is None else Codes16(black=0.0, white=65535.0, curve="srgb")
+        assert dark.for_twins(files) == wanted
 
 
 def test_raw_files_of_the_first_one_are_one_cameras_and_others_are_refused_by_what_differs(tmp_path: Path) -> None:

@@ -226,12 +226,12 @@ def test_every_run_of_every_place_is_a_row_with_all_its_columns(
 
 
 def test_what_differs_from_any_row_to_another_is_varied() -> None:
-    rows = [{"scene": "a", "level": 1, "seed": 0, "method": name} for name in "xyz"]
-    rows[-1] |= {"level": 2, "seed": 1}
     nothing: Any = {}
     axes: dict[str, Any] = dict.fromkeys(("level", "scene", "method", "seed"), ())
-    found = Material(Path("r.html"), rows, axes, nothing, nothing, {})
-    assert found.varied == ["level", "seed"]
+    for other in range(3):
+        rows = [{"scene": "a", "level": 1, "seed": 0, "method": name} for name in "xyz"]
+        rows[other] |= {"level": 2, "seed": 1}
+        assert Material(Path("r.html"), rows, axes, nothing, nothing, {}).varied == ["level", "seed"]
 
 
 def test_the_title_of_a_study_counts_the_values_of_all_its_runs() -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from novags.testbed.report import study as module
 from novags.testbed.report.grid import Line
-from novags.testbed.report.study import _place, chosen, read_made, read_rows
+from novags.testbed.report.study import _place, chosen, read_made, read_rows, study_material
 
 SCORES = ("enhanced.aligned_psnr", "lit.tone_aligned_psnr", "recovered", "cameras.registered_share", "geometry.abs_rel",
           "lit.flip")  # fmt: skip
@@ -47,12 +47,35 @@ def test_every_finished_run_that_is_here_is_read_and_every_other_one_is_counted(
 
 
 def test_the_capture_is_the_one_that_most_methods_have_a_run_of() -> None:
-    made = {"a": ["x", "x", "x", "y"], "b": ["z", "y"], "c": ["y"]}
+    made = {"a": ["x", "x", "x", "y"], "b": ["z", "y"], "c": ["z", "y"]}
     lines = {name: Line({}, name, []) for name in made}
     of = {id(lines[name]): [SimpleNamespace(capture=Path(c), run=f"{name}{k}") for k, c in enumerate(captures)]
           for name, captures in made.items()}  # fmt: skip
     material: Any = SimpleNamespace(of=lambda line: of[id(line)])
-    assert chosen(list(lines.values()), material) == (Path("y"), {"a": "a3", "b": "b1", "c": "c0"})
+    assert chosen(list(lines.values()), material) == (Path("y"), {"a": "a3", "b": "b1", "c": "c1"})
+
+
+METHODS = ("oracle", "nova", "naive")  # best first by their scores
+
+
+@pytest.mark.parametrize("away", METHODS)
+def test_a_method_is_in_a_study_with_its_look_and_if_its_run_is_of_another_capture_that_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, away: str
+) -> None:
+    rows = [{"run": k, "scene": "a", "method": name, "state": "done", "enhanced.aligned_psnr": 30.0 - k}
+            for k, name in enumerate(METHODS)]  # fmt: skip
+    axes = {"scene": ["a"], "method": METHODS}
+    (tmp_path / "results.json").write_text(json.dumps({"axes": axes, "columns": [], "rows": rows}))
+    (tmp_path / "study.json").write_text(json.dumps({"file": "l.toml", "table": {}}))
+    runs = [SimpleNamespace(name=name, record={}, scores=lambda: None) for name in METHODS]
+    made = {k: SimpleNamespace(run=run, capture=Path("other" if run.name == away else "same"))
+            for k, run in enumerate(runs)}  # fmt: skip
+    monkeypatch.setattr(module, "read_made", lambda *_: (made, []))
+    found = study_material(tmp_path, tmp_path / "report.html")
+    assert {name: look.competes for name, look in found.looks.items()} == {"oracle": False, "nova": True, "naive": True}
+    assert [line.method for line in found.lines] == [*METHODS]
+    assert list(found.unseen) == [f"scene a, {away}"]
+    assert list(found.places) == ["scene a"]
 
 
 def test_the_view_is_the_first_held_out_one_that_any_run_has_rendered(tmp_path: Path) -> None:

@@ -201,10 +201,12 @@ def test_another_program_of_the_same_name_is_other_work(tmp_path: Path) -> None:
     assert method(tmp_path, "a = 1").resolved() == first
     assert method(tmp_path, "a = 2").resolved() != first
     (tmp_path / "lib").mkdir()
-    (tmp_path / "lib" / "part.py").write_text("b = 1")
-    with_lib = method(tmp_path, "a = 1", files=["lib"]).resolved()
-    (tmp_path / "lib" / "part.py").write_text("b = 2")
-    assert method(tmp_path, "a = 1", files=["lib"]).resolved() != with_lib
+    parts = [tmp_path / "lib" / name for name in ("one.py", "other.py")]
+    for content in ("b = 1", "b = 2"):
+        for part in parts:
+            with_lib = method(tmp_path, "a = 1", files=["lib"]).resolved()
+            part.write_text(content)
+            assert method(tmp_path, "a = 1", files=["lib"]).resolved() != with_lib
     assert method(tmp_path, "a = 1", timeout=5).resolved() == first
 
 

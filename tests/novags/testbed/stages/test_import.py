@@ -3,6 +3,7 @@
 import io
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,17 +13,18 @@ import pytest
 import torch
 from PIL import Image
 
-from novags.methods.variant import Variant
 from novags.testbed import stages
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import Capture, open_capture
+from novags.testbed.folders.photographs.raw_files import read_digital_numbers
+from novags.testbed.importing import stored
 from novags.testbed.stages.configs.capturing import CaptureConfig
 from novags.testbed.stages.configs.importing import ImportConfig
-from novags.testbed.stages.configs.reconstructing import ReconstructConfig
-from sensor_model import linear_to_srgb, srgb_to_linear
+from sensor_model import PRESETS, Exposure, linear_to_srgb, srgb_to_linear, write_dng
 from simscenes import orbit_rig
 from simscenes.sets.multiview import write_cameras
 from simscenes.sets.pictures.png import read_codes, read_png, write_png
+from tests.miniatures import realx3d, write16
 
 QUIET = Console(quiet=True)
 SIZE, VIEWS = (40, 30), 9
@@ -143,6 +145,21 @@ def test_16_bit_pictures_are_read_by_their_levels_and_curve(
     assert f"code {black} is black, {white} white, {curve} in between" in stream.getvalue()
 
 
+@pytest.mark.parametrize(("place", "said"), [(None, "linear"), (-1, "linear or srgb"), (0, "srgb or linear")])
+def test_all_curves_that_files_state_are_said_and_that_codes_stand_apart(
+    place: int | None, said: str, line: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rationale: each file is read by its own curve, and a folder of both kinds is likely a mistake."""
+    dark = foreign(tmp_path / "dark", line, "images")
+    for i, name in enumerate(NAMES):  # the first one of 12 bits, the others of 16
+        write16(dark / "images" / f"{name}.png", (16 if i == 0 else 1) * (3 + lit_picture(i).astype(np.uint16)))
+    others = [] if place is None else [f"{NAMES[place]}.png"]
+    monkeypatch.setattr(stored, "stated_curve", lambda file: "srgb" if file.name in others else None)
+    brought(dark, tmp_path / "cap", Console(stream=(stream := io.StringIO())))
+    assert f"white, {said} in between{'' if place is None else ', as the files say'} (" in stream.getvalue()
+    assert "codes of 0000.png are multiples of 16: they are probably of 12 bits" in stream.getvalue()
+
+
 def test_pictures_of_an_unknown_camera_say_their_noise_themselves_by_the_training_views(tmp_path: Path) -> None:
     """Expectation: variance 1e-5 + 4e-4 mean in the training views; those held out have ten times the noise."""
     rng, size = np.random.default_rng(2), (48, 40)
@@ -201,6 +218,28 @@ def test_raw_files_beside_a_colmap_model_whose_pictures_are_gone(line: Path, tmp
     assert np.abs(capture.cameras.rig.viewmats - ours.cameras.rig.viewmats).max() < 1e-9
 
 
+@pytest.mark.parametrize(
+    ("place", "named"), [(0, "0001.dng other ones than 0000"), (4, "0004.dng other ones than 0000")]
+)
+def test_a_raw_file_of_another_white_balance_is_named_beside_the_first_one(
+    place: int, named: str, strangers: Path, tmp_path: Path
+) -> None:
+    file = strangers / "raw" / f"{NAMES[place]}.dng"
+    other = replace(PRESETS[A7S2], rgb_response=(0.3, 1.0, 0.9))
+    write_dng(file, read_digital_numbers(file), other, Exposure(time=1 / 30))
+    brought(strangers, tmp_path / "cap", Console(stream=(stream := io.StringIO())))
+    assert f"several white balances or colour matrices ({named}" in stream.getvalue()
+
+
+def test_views_that_nobody_scanned_are_recorded_whichever_they_are(tmp_path: Path) -> None:
+    folder = realx3d(tmp_path / "RealX3D")
+    for lacking in ([], ["0001"], ["0001", "0009"]):
+        for name in lacking:
+            (tmp_path / "RealX3D" / "pointclouds" / "Popcorn" / "depth" / f"{name}.png").unlink(missing_ok=True)
+        brought(folder, tmp_path / "cap")
+        assert json.loads((tmp_path / "cap" / "capture.json").read_text()).get("unscanned", []) == lacking
+
+
 def test_margins_of_raw_files_are_cut_and_the_filter_pattern_moves_with_them(
     line: Path, strangers: Path, tmp_path: Path
 ) -> None:
@@ -213,22 +252,6 @@ def test_margins_of_raw_files_are_cut_and_the_filter_pattern_moves_with_them(
     np.testing.assert_array_equal(capture.raw(1), ours.raw(1)[:29, 1:39])
     np.testing.assert_array_equal(capture.linear16(1), ours.linear16(1)[:29, 1:39])
     assert capture.levels[0] == "GRBG"
-
-
-def test_black_levels_that_differ_between_the_colours_become_one(line: Path, tmp_path: Path, monkeypatch) -> None:
-    """Rationale: methods are given one black level. Expectation: codes over their own black level stay as they are."""
-    from dataclasses import replace
-
-    from novags.testbed.importing import raw_camera
-
-    file = line / "cap" / "raw" / "0000.dng"
-    plain = raw_camera.raw_camera(file, None, "bilinear").codes(file).astype(int)
-    honest = raw_camera.read_format
-    monkeypatch.setattr(raw_camera, "read_format", lambda f: replace(honest(f), black=(511.0, 512.0, 514.0, 511.0)))
-    camera = raw_camera.raw_camera(file, None, "bilinear")
-    assert camera.sensor.black_level == 512.0
-    shift = np.tile([[1, 0], [-2, 1]], (SIZE[1] // 2, SIZE[0] // 2))
-    np.testing.assert_array_equal(camera.codes(file), plain + shift)
 
 
 def test_a_long_exposure_becomes_the_noise_free_one_by_one_factor(line: Path, strangers: Path, tmp_path: Path) -> None:
@@ -373,28 +396,3 @@ def test_an_opaque_alpha_channel_changes_no_pixel_and_nothing_is_said_of_white(l
     for i in range(VIEWS):
         np.testing.assert_array_equal(found.srgb8(i), plain.srgb8(i))
     assert "white" not in told.getvalue()
-
-
-def test_a_folder_whose_pictures_lie_deeper_names_the_folders_that_hold_them(strangers: Path, tmp_path: Path) -> None:
-    above = tmp_path / "above"
-    shutil.copytree(strangers, above / "trip" / "dark")
-    (above / "bare" / "images").mkdir(parents=True)
-    shutil.copy(strangers / "images" / "0000.png", above / "bare" / "images")
-    with pytest.raises(
-        ValueError, match="above holds no pictures itself; pictures with cameras are in trip/dark: give"
-    ):
-        brought(above, tmp_path / "cap", dataset="none")
-    (above / "trip" / "dark" / "transforms.json").unlink()
-    with pytest.raises(ValueError, match="itself; pictures are in bare, trip/dark: give one of these folders"):
-        brought(above, tmp_path / "cap", dataset="none")
-
-
-def test_no_iterations_are_said_to_leave_the_first_gaussians(strangers: Path, tmp_path: Path) -> None:
-    capture, told = brought(strangers, tmp_path / "cap"), io.StringIO()
-    for count in (0, 1):
-        variant = Variant(name=f"after{count}", method="naive", settings={"fit.iterations": str(count)})
-        config = ReconstructConfig(variant=variant, points=50)
-        record = stages.reconstruct(capture.path, tmp_path / variant.name, config, Console(stream=told))
-        assert record["config"]["fit"]["iterations"] == count
-    assert told.getvalue().count("0 iterations of the fit: the first Gaussians") == 1
-    assert "reconstruct after0: 0 iterations" in told.getvalue()

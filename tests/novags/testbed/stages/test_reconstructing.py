@@ -12,6 +12,7 @@ import pytest
 import torch
 
 from novags.methods.enhancers.networks.zero_dce import ZeroDce
+from novags.methods.variant import Variant
 from novags.methods.variant.several import MeanScene
 from novags.testbed import stages
 from novags.testbed.console.terminal import Console
@@ -20,6 +21,7 @@ from novags.testbed.folders.run import Run, place_along
 from novags.testbed.report.again import run_again
 from novags.testbed.stages import reconstructing
 from novags.testbed.stages.configs import reconstructing as module
+from novags.testbed.stages.configs.reconstructing import ReconstructConfig
 from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
 from novags.testbed.viewer.splats import scene_of
 from simscenes.sets.pictures.exr import read_exr
@@ -193,3 +195,14 @@ def test_a_run_of_several_fits_is_kept_shown_and_made_again(capture: Path, tmp_p
     assert "--method naive-x2 --iterations 30" in again
     (tmp_path / "naive-x2" / "scene" / "fit-2" / "point_cloud.ply").unlink()
     assert scene_of(run) is None  # the mean of the fits that are left would be another scene
+
+
+def test_no_iterations_are_said_to_leave_the_first_gaussians(capture: Path, tmp_path: Path) -> None:
+    told = io.StringIO()
+    for count in (0, 1):
+        variant = Variant(name=f"after{count}", method="naive", settings={"fit.iterations": str(count)})
+        config = ReconstructConfig(variant=variant, points=50)
+        record = stages.reconstruct(capture, tmp_path / variant.name, config, Console(stream=told))
+        assert record["config"]["fit"]["iterations"] == count
+    assert told.getvalue().count("0 iterations of the fit: the first Gaussians") == 1
+    assert "reconstruct after0: 0 iterations" in told.getvalue()

@@ -174,7 +174,8 @@ def test_runs_of_two_methods_and_of_one_seed_are_not_explained_together(
 def test_a_program_is_found_among_all_that_are_known(tmp_path: Path) -> None:
     programs = [CommandConfig(name=name, command="ls {capture} {out}", folder=tmp_path) for name in ("ours", "theirs")]
     known = case(tmp_path)
-    record = {"seed": 5, "stage": {"config": jsonable(replace(programs[1], seed=5).resolved())}}
-    run: Any = SimpleNamespace(path=tmp_path, name="theirs", method="theirs", record=record)
-    found = Case(run, known.capture, known.source, known.scores, tuple(programs)).program
-    assert (found.name, found.seed) == ("theirs", 5)
+    for program in programs:
+        record = {"seed": 5, "stage": {"config": jsonable(replace(program, seed=5).resolved())}}
+        run: Any = SimpleNamespace(path=tmp_path, name=program.name, method=program.name, record=record)
+        found = Case(run, known.capture, known.source, known.scores, tuple(programs)).program
+        assert (found.name, found.seed) == (program.name, 5)
