@@ -18,7 +18,8 @@ from novags.testbed.study.light import ELECTRONS
 from novags.testbed.study.results import CSV
 from sensor_model.files.door import resolved
 
-NAMED = (SCENE, ELECTRONS, "sensor", CAPTURE)  # axes that have columns of their own
+PHOTOS = "photos"  # an axis that stands for the scene
+NAMED = (SCENE, PHOTOS, ELECTRONS, "sensor", CAPTURE)  # axes that have columns of their own
 STUDIES_IN = "studies"  # folder of a site
 LEVEL = "level"  # an axis that stands for camera and electrons
 
@@ -74,7 +75,7 @@ class Entry:
     @property
     def scene(self) -> str:
         """Its scene, with its variation."""
-        found = self.line.place.get(SCENE) or self.line.place.get("photos")
+        found = self.line.place.get(SCENE) or self.line.place.get(PHOTOS)
         made = self._made
         return str(found or (made and (made.rendered.get("scene") or made.set.name)) or "unknown")
 

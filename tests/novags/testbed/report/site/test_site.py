@@ -12,9 +12,6 @@ from typing import Any
 import pytest
 
 from novags.testbed.console.terminal import Console
-from novags.testbed.report.parts import Column, Table, TableRow, num, text
-from novags.testbed.site.entries import pages_of, plain_name
-from novags.testbed.site.latex import latex
 from novags.testbed.site.writing import write_site
 
 QUIET = Console(quiet=True)
@@ -122,27 +119,6 @@ def test_tables_lie_there_as_csv_and_latex(site: Path, study: Path) -> None:
     assert told.startswith("\\begin{tabular}{")
     assert "better" in told
     assert "results.csv" in (site / "index.html").read_text(encoding="utf-8")
-
-
-def test_latex_escapes_marks_the_best_and_leaves_out_what_is_alike() -> None:
-    rows = [TableRow([text("a_b & c"), text("same"), num(1.0, "1.0 ± 0.2", best=True), "50 %"]),
-            TableRow([text("d^2~\\"), text("same"), num(-2.0, "−2.0"), "x#{$}†"])]  # fmt: skip
-    made = latex(Table("t", "", [Column("Who"), Column("Said"), Column("PSNR", "dB", "num"), Column("Share")], rows))
-    assert made == (
-        "\\begin{tabular}{lrl}\n\\toprule\nWho & PSNR dB & Share \\\\\n\\midrule\n"
-        "a\\_b \\& c & \\textbf{1.0 $\\pm$ 0.2} & 50 \\% \\\\\n"
-        "d\\textasciicircum{}2\\textasciitilde{}\\textbackslash{} & $-$2.0 & x\\#\\{\\$\\}$^\\dagger$ \\\\\n"
-        "\\bottomrule\n\\end{tabular}\n"
-    )
-
-
-def test_names_that_differ_have_pages_that_differ() -> None:
-    found = pages_of(["naive*3", "naive-3", "Naive-3", "a:1", "../x", "naive*3"], "methods")
-    assert [page.removeprefix("methods/") for page in found.values()] == [
-        "naive-3.html", "naive-3-2.html", "Naive-3-3.html", "a-1.html", "x.html"
-    ]  # fmt: skip
-    assert list(found) == ["naive*3", "naive-3", "Naive-3", "a:1", "../x"]
-    assert plain_name("...") == plain_name("ü") == "page"
 
 
 def test_a_second_site_replaces_the_first_and_nothing_else(study: Path, experiment: Path, tmp_path: Path) -> None:
