@@ -1,6 +1,7 @@
-"""Runs that end in linear light: how they are shown, scored, and opened again."""
+"""Runs that end in linear light: how they are shown, scored, and opened again; imports of files that do not fit."""
 
 import base64
+import io
 import re
 import shutil
 from pathlib import Path
@@ -33,10 +34,11 @@ from novags.testbed.stages.configs.reconstructing import ReconstructConfig
 from novags.testbed.stages.reconstructing import prepare
 from novags.testbed.study.knobs.reconstruction import held_out_error
 from novags.testbed.viewer.splats import scene_of
+from sensor_model import srgb_to_linear
 from simscenes import orbit_rig
 from simscenes.sets.multiview import write_cameras
-from simscenes.sets.pictures.png import read_png
-from tests.novags.testbed.stages.test_import import brought, foreign, line  # noqa: F401
+from simscenes.sets.pictures.png import read_png, write_png
+from tests.novags.testbed.stages.test_import import NAMES, brought, foreign, line  # noqa: F401
 
 QUIET = Console(quiet=True)
 ENHANCE = EnhanceConfig(window=9)
@@ -221,3 +223,41 @@ def test_a_raw_file_that_cannot_be_read_costs_no_finished_import(name: str, line
     with pytest.raises(ValueError, match=rf"{name}\.dng"):
         brought(strangers, tmp_path / "cap", time=0.02)
     assert before == {path: path.read_bytes() for path in (tmp_path / "cap").rglob("*") if path.is_file()}
+
+
+def test_raw_files_are_refused_from_the_first_on_where_cameras_are_of_shrunk_pictures(
+    line: Path,  # noqa: F811
+    tmp_path: Path,
+) -> None:
+    dark = foreign(tmp_path / "dark", line, "raw")
+    write_cameras(dark, NAMES, orbit_rig(9, 20, 15, 50.0, radius=3.0))
+    for name in NAMES:
+        write_png(dark / "images" / f"{name}.png", np.full((15, 20, 3), 9, np.uint8))
+    with pytest.raises(ValueError, match=r"0000\.dng must be 20 x 15 px .* got 40 x 30: .* probably shrunk by 2; give"):
+        brought(dark, tmp_path / "cap")
+
+
+@pytest.mark.parametrize("place", [0, 8])
+def test_one_jpeg_among_the_photographs_makes_channels_share_noise(
+    place: int,
+    line: Path,  # noqa: F811
+    tmp_path: Path,
+) -> None:
+    dark = foreign(tmp_path / "dark", line, "images")
+    picture, listed = dark / "images" / f"{NAMES[place]}.png", dark / "transforms.json"
+    assert cv2.imwrite(str(picture.with_suffix(".jpg")), cv2.imread(str(picture)))
+    picture.unlink()
+    listed.write_text(listed.read_text().replace(picture.name, picture.with_suffix(".jpg").name))
+    assert brought(dark, tmp_path / "cap").channels_share == ("demosaicing", "JPEG")
+
+
+def test_held_out_pictures_are_brighter_by_the_median_of_a_few_of_each(tmp_path: Path) -> None:
+    """Rationale: one lamp switched on, or one failed exposure, does not make a data set of lit pictures."""
+    codes = np.array([10, 40, 30, 250, 20, 120, 40, 180, 60], np.uint8)
+    write_cameras(tmp_path / "dark", NAMES, orbit_rig(9, SIDE, SIDE, 50.0, radius=3.0), held_out=(1, 3, 5, 7))
+    for name, code in zip(NAMES, codes, strict=True):
+        write_png(tmp_path / "dark" / "images" / f"{name}.png", np.full((SIDE, SIDE, 3), code))
+    brought(tmp_path / "dark", tmp_path / "cap", Console(stream=(said := io.StringIO())))
+    light = srgb_to_linear(codes / 255)
+    times = np.median(light[[1, 3, 5, 7]]) / np.median(light[[0, 4, 8]])
+    assert f"dark are {times:.0f} times as bright as the others" in " ".join(said.getvalue().split())

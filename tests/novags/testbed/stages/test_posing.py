@@ -91,6 +91,11 @@ def test_all_other_files_are_counted_where_photographs_are_missing(tmp_path: Pat
     )
 
 
+def test_the_only_other_file_is_named_where_photographs_are_missing(tmp_path: Path) -> None:
+    (tmp_path / "z.mov").touch()
+    assert posing._others(tmp_path) == "; it also holds 1 .mov: convert pictures to PNG or JPEG"
+
+
 def test_photographs_and_masks_are_all_named_by_where_they_lie(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     names = ["a/1.png", "a/2.png", "b/1.png", "b/c.png", "masks/1.png", "masks/c.png"]
     for k, name in enumerate(names):

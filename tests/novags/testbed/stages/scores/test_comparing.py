@@ -103,9 +103,11 @@ def test_of_several_runs_of_a_bound_none_recovers_anything_and_their_mean_is_the
     found, why = recovered_fractions(scores, methods)
     assert why is None
     assert values(found) == {"mine": pytest.approx((26 - 21) / (31 - 21))}
-    del scores["b/naive"]["views"]
-    scores["b/naive"]["mean"]["enhanced"]["aligned_psnr"] = None
-    assert "b/naive have no aligned_psnr against enhanced" in str(recovered_fractions(scores, methods)[1])
+    for name in ("a/naive", "b/naive", "a/oracle", "b/oracle"):
+        lacking = method(20.0, aligned_psnr=None)
+        found, why = recovered_fractions(scores | {name: lacking}, methods)
+        assert found == {}
+        assert f"{name} have no aligned_psnr against enhanced" in str(why)
 
 
 @pytest.mark.parametrize(("ceiling", "apart"), [(20.25, 0.15), (20.7, 0.09), (22.0, 0.8)])
@@ -149,6 +151,15 @@ def test_a_run_of_another_enhancement_has_another_noise_free_reference_and_no_sh
     shares, why = recovered_shares(scores, itself(scores), own | {"oracle": "darker"})
     assert (shares["recovered"], len(shares["recovered_lit"])) == ({}, 2)
     assert "enhanced by different settings" in why["recovered"]
+
+
+def test_no_run_is_above_the_mean_of_floors_that_have_different_noise_free_references() -> None:
+    scores = {name: method(value) for name, value in (("a/naive", 20.0), ("b/naive", 22.0), ("x", 25.0), ("y", 26.0))}
+    methods = {"a/naive": "naive", "b/naive": "naive", "x": "nova", "y": "nova"}
+    own = {"a/naive": "guided", "b/naive": "darker", "x": "guided", "y": "darker"}
+    assert deltas(scores, methods, "enhanced", "aligned_psnr", own) == ({}, "the mean of 2 runs of naive")
+    found, _ = deltas(scores, methods, "enhanced", "aligned_psnr", dict.fromkeys(own, "guided"))
+    assert values(found) == {"a/naive": -1.0, "b/naive": 1.0, "x": 4.0, "y": 5.0}
 
 
 @pytest.mark.parametrize(

@@ -204,9 +204,11 @@ def test_three_lengths_are_told_apart() -> None:
     }  # fmt: skip
 
 
-def test_a_fit_that_gets_better_to_its_end_stops_there() -> None:
+def test_a_fit_stops_at_its_end_if_it_gets_better_to_there_and_at_its_first_length_if_it_gets_worse() -> None:
     scores = along({10: 20.0, 20: 23.0}, {"10": 15.0, "20": 15.3}, 20)
     assert lengths_of(scores, "lit", "tone_aligned_psnr") == Stops(23.0, 20, 23.0, 20, 23.0)
+    scores = along({10: 23.0, 20: 21.0, 30: 20.0}, {"10": 15.3, "20": 15.1, "30": 15.0}, 10)
+    assert lengths_of(scores, "lit", "tone_aligned_psnr") == Stops(20.0, 10, 23.0, 10, 23.0)
 
 
 def test_reports_and_tables_print_three_figures(runs: dict[str, Run]) -> None:

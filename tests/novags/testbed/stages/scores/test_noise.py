@@ -187,6 +187,6 @@ def test_another_seed_exposes_a_view_otherwise_and_the_same_alike(dark):
 
 
 def test_the_mean_is_of_all_values_that_are_known():
-    assert module._mean([None, 1.0, None, 4.0]) == 2.5
+    assert module._mean([1.0, None, 4.0, None]) == 2.5
     assert module._mean([None, None]) is None
     assert module._mean([]) is None

@@ -37,18 +37,22 @@ class Read(list[torch.Tensor]):
     asked: list[Any]
 
     def __getitem__(self, i: Any) -> Any:
-        self.asked.append(i)
+        self.asked.append(range(len(self))[i])
         return super().__getitem__(i)
 
     def __iter__(self) -> Any:
         return (self[i] for i in range(len(self)))
 
 
-@pytest.mark.parametrize(("most", "learnt"), [(10**6, [0, 1, 2, 4]), (3 * 24 * 32, [0, 2, 4]), (1, [0])])
+@pytest.mark.parametrize(
+    ("most", "learnt", "once"), [(10**6, [0, 1, 2, 4], []), (3 * 24 * 32, [0, 2, 4], [1, 3]), (1, [0], [1, 2, 3, 4])]
+)
 def test_the_network_learns_from_so_many_pixels_of_the_most_common_size_and_denoises_all(
-    most: int, learnt: list[int], monkeypatch: pytest.MonkeyPatch
+    most: int, learnt: list[int], once: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Five pictures, the fourth of another size: where few may be read, those are spread over all."""
+    """Five pictures, the fourth of another size: where few may be read, those are spread over all, and every other
+    photograph is read once, to be denoised.
+    """
     given = list[torch.Tensor]()
 
     class Asked(Network):
@@ -63,6 +67,7 @@ def test_the_network_learns_from_so_many_pixels_of_the_most_common_size_and_deno
     dark.asked = []
     found = list(denoised.pictures(dark, 0))
     assert torch.equal(given[0], torch.stack([enhanced.enhanced(dark[i]) for i in learnt]))
+    assert [dark.asked.count(i) for i in once] == [1] * len(once)
     assert [picture.shape for picture in found] == [tuple(view.shape) for view in dark]
     noise = Network(given[0], None, 1, 0)
     for _ in range(denoised.STEPS):
