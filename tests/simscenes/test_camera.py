@@ -32,3 +32,18 @@ def test_the_matrix_of_a_camera_stands_in_for_its_filters() -> None:
     np.testing.assert_allclose(by_matrix, exact, rtol=0.06)
     assert 0.001 < found.matrix_error < 0.05
     assert np.abs(found.matrix - found.matrix.T).max() > 0.05
+
+
+def test_no_matrix_is_closer_to_a_camera_on_all_patches_of_the_chart_and_white() -> None:
+    """At the least squares, what is left of the error has nothing in common with the colours that are seen."""
+    import colour
+
+    found = camera_color("Nikon 5100 (NPL)")
+    chart = colour.SDS_COLOURCHECKERS["BabelColor Average"]
+    spectra = np.array([[chart[name][w] for w in WAVELENGTHS] for name in chart] + [np.ones(len(WAVELENGTHS))])
+    light = spectra * daylight()
+    seen, exact = light @ srgb_curves(), light @ found.curves / found.curves[:, 1].sum()
+    left = exact - seen @ found.matrix.T
+    assert len(spectra) == 25
+    assert np.abs(left).max() > 1e-3 * exact.max()
+    np.testing.assert_allclose(seen.T @ left / (np.linalg.norm(seen) * np.linalg.norm(exact)), 0, atol=1e-9)

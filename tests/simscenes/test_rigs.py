@@ -98,6 +98,14 @@ def test_no_test_view_lies_at_an_end_of_an_arc(n_views: int) -> None:
     assert np.abs(np.diff(azimuths, append=azimuths[0])).max() < 2.01 * 90 / (n_views - 1)
 
 
+@pytest.mark.parametrize("n_views", [4, 9, 12, 20, 41])
+def test_the_first_view_of_an_arc_is_in_its_middle(n_views: int) -> None:
+    rig = orbit_rig(n_views, 8, 8, 50, radius=1.0, start_deg=0, sweep_deg=90, swing_deg=0)
+    first = np.degrees(np.arctan2(rig.positions[0, 1], rig.positions[0, 0]))
+    step = 90 / (n_views - 1)
+    assert abs(first - 45) <= 0.501 * step
+
+
 def test_forward_rig_stays_in_its_window() -> None:
     rig = forward_rig(20, 8, 8, 50, position=(0, -4, 1), target=(0, 0, 1), extent=(0.5, 0.25))
     assert np.allclose(rig.positions[:, 1], -4)

@@ -118,7 +118,7 @@ def test_forms_of_numbers_that_frameworks_have_are_taken_and_others_are_wrong_re
 def test_a_view_without_any_depth_is_named_where_depth_is_wanted(dark: DarkCapture) -> None:
     depth = dark.test.depth.copy()
     depth[1] = np.nan
-    for bounds in ({"abs_rel": 0.01}, {"coverage": 0.1, "abs_rel": 0.01}):
+    for bounds in ({"abs_rel": 0.01}, {"coverage": 0.1, "abs_rel": 0.01}, {"abs_rel": 0.01, "coverage": 0.1}):
         with pytest.raises(AssertionError, match="view 0008 has no depth where the scene has surfaces"):
             assert_depth(dark.test, depth, **bounds)
 

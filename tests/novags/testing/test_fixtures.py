@@ -12,7 +12,8 @@ import pytest
 
 from novags.testbed.folders import references
 from novags.testbed.ledger.store import files_of
-from novags.testing import DarkCapture
+from novags.testbed.study.entry import Task
+from novags.testing import DarkCapture, making
 from novags.testing.known import PosedViews
 from novags.testing.making import make_capture
 from simscenes import orbit_rig
@@ -60,6 +61,38 @@ def test_pictures_and_truth_are_of_every_view(monkeypatch: pytest.MonkeyPatch) -
     np.testing.assert_array_equal(views.variance_dn[:, 0, 0, 0], [18, 38])
     with pytest.raises(ValueError, match="the depth of photographs is not known"):
         _ = PosedViews(("b", "f"), **parts, _indices=(1, 5), _capture=capture, _source=source).depth
+
+
+def test_every_view_has_the_name_and_the_camera_of_its_number(tmp_path: Path) -> None:
+    rig = orbit_rig(5, 24, 16, 50.0, radius=3.0)
+    cameras = SimpleNamespace(names=tuple("abcde"), rig=rig, train_indices=[1, 2, 4], test_indices=[0, 3])
+    record = SimpleNamespace(simulated=SimpleNamespace(electrons=7))
+    capture: Any = SimpleNamespace(path=tmp_path, cameras=cameras, record=record)
+    source: Any = SimpleNamespace(points=lambda: None)
+    dark = DarkCapture.of(capture, source)
+    assert (dark.folder, dark.electrons, dark.points.shape) == (tmp_path, 7.0, (0, 3))
+    for views, indices in ((dark.train, [1, 2, 4]), (dark.test, [0, 3])):
+        assert views.names == tuple("abcde"[i] for i in indices)
+        np.testing.assert_array_equal(views.viewmats, [rig.viewmats[i] for i in indices])
+        np.testing.assert_array_equal(views.Ks, [rig.Ks[i] for i in indices])
+
+
+def test_an_entry_is_made_of_the_contents_of_all_that_it_needs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = list[Any]()
+
+    def ensured(order: Any, *_: Any) -> dict[str, str]:
+        asked.append(order)
+        return {"content": "of the run"}
+
+    monkeypatch.setattr(making, "ensure", ensured)
+    monkeypatch.setattr(making, "steps", lambda *_: [])
+    monkeypatch.setattr(making, "depends", lambda _: ())
+    planner: Any = SimpleNamespace(tasks={key: Task("capture", key, f"{key}-1", None) for key in ("dark", "lit")})
+    task = Task("run", "r", "r-1", None, needs=("dark", "lit"))
+    assert making._made(task, tmp_path, planner, {"dark": "d", "other": "o", "lit": "l"}) == "of the run"
+    (order,) = asked
+    assert order.made_of == {"dark": "d", "lit": "l"}
+    assert (order.folder, order.source) == (tmp_path / "run" / "r-1", tmp_path / "capture" / "dark-1")
 
 
 def test_equal_arguments_are_one_capture_and_others_share_its_set(dark_capture: Make) -> None:

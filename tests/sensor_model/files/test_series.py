@@ -136,10 +136,12 @@ optics = {falloff = [1, 0.75, 0.25]}
 """
 
 
-def test_between_two_isos_numbers_lie_between_and_all_else_is_the_nearer_ones(tmp_path: Path) -> None:
+@pytest.mark.parametrize("first", [100, 1600])
+def test_between_two_isos_numbers_lie_between_and_all_else_is_the_nearer_ones(first: int, tmp_path: Path) -> None:
     """A quarter and three quarters of the way by the logarithm. Hot pixels or noise of columns may be found at one
-    ISO alone, tables differ in length, and a count stays whole."""
-    (tmp_path / "mine.toml").write_text(TWO)
+    ISO alone, tables differ in length, a count stays whole, and the ISOs may stand in any order."""
+    camera, *tables = TWO.split("[iso.")
+    (tmp_path / "mine.toml").write_text("[iso.".join([camera, *(tables if first == 100 else tables[::-1])]))
     low, high = (read_sensor(f"{tmp_path / 'mine.toml'}@{iso}") for iso in (200, 800))
     assert (low.gain, high.gain) == pytest.approx((2.0, 8.0))
     assert (low.sigma_d, high.sigma_d) == pytest.approx((2.0, 4.0))

@@ -104,6 +104,14 @@ def test_too_much_that_is_left_out_is_said_at_once() -> None:
     assert warnings_about(default_plan(Optics()), 0.01) == []
 
 
+@pytest.mark.parametrize("most", EFFECTS)
+def test_of_all_that_is_left_out_the_largest_is_named(most: str) -> None:
+    made = plan(0.09)
+    effects = tuple(replace(e, on=False, contribution=0.05 if e.name == most else 0.01) for e in made.effects)
+    (said,) = warnings_about(replace(made, effects=effects), None)
+    assert f"most of it by {most!r}" in said
+
+
 @pytest.mark.parametrize("moved", [31.9, 32.1, 100.0])
 def test_a_motion_that_needs_more_poses_than_there_may_be_is_said(moved: float) -> None:
     made = plan(0.01)

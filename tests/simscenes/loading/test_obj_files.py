@@ -51,11 +51,12 @@ def test_a_corner_without_values_gets_the_normal_of_its_face_and_no_texture_coor
     face: bytes, tmp_path: Path
 ) -> None:
     with pytest.warns(UserWarning, match=r"m\.obj: not every corner"):
-        found = loaded(tmp_path, CORNERS + VALUES + WHOLE + face + b"\n")
-    np.testing.assert_allclose(found["texcoords"], [[[0.1, 0.2], [0.3, 0.4], [0.5, 0.6]], [[0, 0]] * 3], atol=1e-6)
+        found = loaded(tmp_path, CORNERS + VALUES + WHOLE + face + b"\n" + WHOLE)
+    placed = [[0.1, 0.2], [0.3, 0.4], [0.5, 0.6]]
+    np.testing.assert_allclose(found["texcoords"], [placed, [[0, 0]] * 3, placed], atol=1e-6)
     across = np.cross([-2, 0, 2], [-2, 2, 0])
     np.testing.assert_allclose(
-        found["normals"], [[[0, 0.6, 0.8]] * 3, [across / np.linalg.norm(across)] * 3], atol=1e-6
+        found["normals"], [[[0, 0.6, 0.8]] * 3, [across / np.linalg.norm(across)] * 3, [[0, 0.6, 0.8]] * 3], atol=1e-6
     )
 
 
@@ -111,12 +112,16 @@ def test_a_file_of_many_faces_is_looked_through_once() -> None:
     assert complete(content + b"f " + b"1/1/1 " * 30_000 + b"1\n").count(b"vn") == 2
 
 
-def test_the_shapes_of_groups_are_found_wherever_the_instance_stands(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("first", ["ball", "instance"])
+def test_the_shapes_of_groups_are_found_wherever_the_instance_stands(
+    first: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     class Shape:
         """Stands in for Mitsuba's."""
 
     ball, instance, grouped = Shape(), Shape(), Shape()
-    mi, scene = SimpleNamespace(Shape=Shape), SimpleNamespace(shapes=lambda: [ball, instance])
+    own = [ball, instance] if first == "ball" else [instance, ball]
+    mi, scene = SimpleNamespace(Shape=Shape), SimpleNamespace(shapes=lambda: own)
     monkeypatch.setattr(contents, "_repeats", lambda shape: shape is instance)
-    monkeypatch.setattr(contents, "objects_in", lambda scene, mi: [ball, instance, grouped, "a material"])
+    monkeypatch.setattr(contents, "objects_in", lambda scene, mi: [*own, grouped, "a material"])
     assert contents.surfaces_in(scene, mi) == [ball, grouped]

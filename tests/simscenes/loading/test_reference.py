@@ -68,6 +68,7 @@ def test_all_parameters_of_a_file_are_given_in_their_order_and_each_is_checked()
     for given, said in (
         (["a=1", "b"], "must be NAME=VALUE, .* got 'b'"),
         (["a=1", "b c=2"], "must be NAME=VALUE, .* got 'b c=2'"),
+        (["a=1", "a=2"], "must be given once, got a several times"),
         (["a=1", "b=1", "b=2"], "must be given once, got b several times"),
     ):
         with pytest.raises(ValueError, match=said):

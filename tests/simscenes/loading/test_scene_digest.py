@@ -82,7 +82,7 @@ def test_the_letters_of_files_count_and_where_each_ends(tmp_path: Path) -> None:
             file.write_text(content)
         return content_digest(files, {})
 
-    contents = [("repeat",), ("mirror",), ("rep", "eat"), ("repe", "at"), ("eat", "rep")]
+    contents = [("repeat",), ("mirror",), ("rep", "eat"), ("repe", "at"), ("eat", "rep"), ("a", "aa"), ("aa", "a")]
     assert len({digest(*each) for each in contents}) == len(contents)
     assert digest("repeat") == digest("repeat")
 

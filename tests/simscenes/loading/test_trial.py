@@ -15,6 +15,7 @@ from sensor_model.files.python import python
 from simscenes.backend import activate
 from simscenes.loading import load
 from simscenes.loading.checks import trial, trial_process
+from simscenes.loading.checks.complete import check_complete
 from simscenes.loading.checks.meshes import _placed_texture, check_faces, check_mesh_file
 from simscenes.loading.load import build_scene
 
@@ -83,12 +84,13 @@ def test_a_mesh_that_announces_more_than_it_holds_is_refused_unread(name: str, c
         build_scene(path, activate())
 
 
-def test_the_second_mesh_of_a_scene_is_checked_as_well() -> None:
+def test_every_mesh_of_a_scene_is_checked() -> None:
     whole = {"faces": [0, 1, 2], "vertex_positions": [0.0] * 9}
     params = {f"{name}.{key}": value for name in ("first", "second") for key, value in whole.items()}
     check_faces(params)
-    with pytest.raises(ValueError, match="a mesh 'second' has 3 vertices, but a face names vertex 3"):
-        check_faces(params | {"second.faces": [0, 1, 3]})
+    for name in ("first", "second"):
+        with pytest.raises(ValueError, match=f"a mesh '{name}' has 3 vertices, but a face names vertex 3"):
+            check_faces(params | {f"{name}.faces": [0, 1, 3]})
 
 
 def test_the_texture_that_has_to_be_placed_is_found_among_all_inputs() -> None:
@@ -143,6 +145,17 @@ def test_a_dict_is_checked_for_the_same(inner: dict[str, Any]) -> None:
         build_scene({"type": "scene", "ball": ball}, activate())
     with pytest.raises(ValueError, match="without 2 children"):
         build_scene({"type": "scene", "ball": {"type": "sphere", "bsdf": {"type": "blendbsdf"}}}, activate())
+
+
+@pytest.mark.parametrize(
+    ("plugin", "kinds"),
+    [("merge", ["shape"]), ("merge", ["ref"]), ("blendbsdf", ["bsdf", "ref"]), ("blendbsdf", ["float", "bsdf", "bsdf"]),
+     ("blendbsdf", ["bsdf", "float", "bsdf"]), ("blendbsdf", ["bsdf", "bsdf", "float"])],
+)  # fmt: skip
+def test_a_plugin_with_no_more_children_than_it_needs_is_complete_in_any_order(plugin: str, kinds: list[str]) -> None:
+    check_complete(plugin, [], kinds, "the scene")
+    with pytest.raises(ValueError, match=f"{plugin!r} without"):
+        check_complete(plugin, [], [kind for kind in kinds if kind == "float"], "the scene")
 
 
 def test_parameters_that_are_not_set_are_no_fault(tmp_path: Path) -> None:

@@ -196,16 +196,17 @@ def test_objects_that_hold_each_other_are_refused(folder: Path) -> None:
 
 def test_a_texture_that_is_cut_short_or_declares_too_much_is_refused_unread(tmp_path: Path) -> None:
     """Mitsuba fills what is missing of a JPEG with grey, and reserves what an EXR file declares."""
-    scene = '<scene version="3.0.0"><texture type="bitmap"><string name="filename" value="{}"/></texture></scene>'
+    texture = '<texture type="bitmap"><string name="filename" value="{}"/></texture>'
     picture = np.random.default_rng(0).integers(0, 255, (16, 16, 3), np.uint8)
-    cv2.imwrite(str(tmp_path / "a.jpg"), picture)
+    for name in ("a.jpg", "whole.jpg"):
+        cv2.imwrite(str(tmp_path / name), picture)
     write_exr(tmp_path / "a.exr", {c: np.zeros((4, 8), np.float32) for c in "RGB"})
     cut = (tmp_path / "a.jpg").read_bytes()[:-40]
     large = (
         (tmp_path / "a.exr").read_bytes().replace(struct.pack("<4i", 0, 0, 7, 3), struct.pack("<4i", 0, 0, 10**8, 3))
     )
     for name, content, reason in (("a.jpg", cut, "cut short"), ("a.exr", large, "declares 100000001 x 4 pixels")):
-        (tmp_path / "scene.xml").write_text(scene.format(name))
+        (tmp_path / "scene.xml").write_text(wrapped(texture.format(name) + texture.format("whole.jpg")))
         check_xml(tmp_path / "scene.xml")
         (tmp_path / name).write_bytes(content)
         with pytest.raises(ValueError, match=f"{name} .*{reason}"):
@@ -238,3 +239,7 @@ def test_files_in_every_folder_that_a_scene_searches_are_found_and_checked(tmp_p
             check_xml(scene, allow_outside=True)
         file.unlink()
         file.write_bytes(content)
+        os.mkfifo(tmp_path / file.name)  # in the folder of the scene, where Mitsuba looks first
+        with pytest.raises(ValueError, match=f"{tmp_path.name}/{file.name} must be a regular file, got a FIFO"):
+            check_xml(scene, allow_outside=True)
+        (tmp_path / file.name).unlink()

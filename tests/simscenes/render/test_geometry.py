@@ -119,6 +119,17 @@ def test_a_veil_is_a_surface_from_half_its_opacity_on(backend: str, opacity: flo
     assert np.allclose(channels["Z"], 2.0 if opacity > 0.5 else 3.0)
 
 
+@pytest.mark.parametrize("order", [("card", "floor"), ("floor", "card")])
+def test_a_hole_is_one_wherever_its_shape_stands_in_the_scene(order: tuple[str, str]) -> None:
+    with using_variant("auto") as mi:
+        veil = {"type": "mask", "opacity": 0.45, "nested": RED}
+        shapes = card_over_floor(mi, {"bsdf": veil})
+        loaded = build_scene({"type": "scene", **{name: shapes[name] for name in order}}, mi)
+        assert loaded.shapes == order
+        channels = geometry_channels(mi, loaded, from_above(), 0)
+    assert np.allclose(channels["Z"], 3.0)
+
+
 @pytest.mark.parametrize("backend", ["auto", "scalar"])
 def test_a_sheet_of_glass_is_a_surface(backend: str) -> None:
     with using_variant(backend) as mi:

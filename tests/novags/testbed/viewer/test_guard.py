@@ -73,7 +73,9 @@ def test_a_name_that_was_made_to_point_here_is_refused(port: int, host: str | No
 def test_two_headers_of_a_kind_are_refused(port: int) -> None:
     good = ("Host", f"127.0.0.1:{port}")
     assert status(port, [good, ("Host", "evil.example")]) == 403
-    assert status(port, [good, ("Origin", f"http://127.0.0.1:{port}"), ("Origin", "http://evil.example")]) == 403
+    origins = [("Origin", f"http://127.0.0.1:{port}"), ("Origin", "http://evil.example")]
+    for each in (origins, origins[::-1]):
+        assert status(port, [good, *each]) == 403
 
 
 def test_it_is_called_as_the_user_and_the_machine_call_it(monkeypatch: pytest.MonkeyPatch) -> None:

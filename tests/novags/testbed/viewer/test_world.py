@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,10 +14,11 @@ import torch
 from novags.cameras.align import Similarity
 from novags.methods.gaussian_scene import GaussianScene
 from novags.methods.tone import ResponseTable
+from novags.methods.variant.several import FITS, MeanScene, places
 from novags.splats import Gaussians, read_ply, write_ply
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import open_capture
-from novags.testbed.viewer import world
+from novags.testbed.viewer import splats, world
 from novags.testbed.viewer.session import quaternion, viewmat_of
 from novags.testbed.viewer.shown import Shown, shown_of
 from novags.testbed.viewer.splats import drawn, rendered
@@ -214,3 +216,24 @@ def test_the_cameras_of_a_run_are_compared_with_the_true_ones_of_the_same_views(
         monkeypatch.setattr(world, "own_cameras", lambda run, names=names: (names, "found"))
         with pytest.raises(ValueError, match="names x, which is not a view"):
             world.true_from(run, capture)
+
+
+def test_a_run_of_several_fits_is_the_mean_of_all_unless_one_is_of_another_kind(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    @dataclass(frozen=True)
+    class OfRun:
+        path: Path
+        record: dict[str, Any]
+
+    scenes = {place: f"the field in {place.name}" for place in places(Path("run"), 3)}
+    monkeypatch.setattr(splats, "gaussians_of", lambda run: None)
+    monkeypatch.setattr(splats, "load_field", scenes.get)
+    run: Any = OfRun(Path("run"), {FITS: [{}, {}, {}]})
+    found = splats.scene_of(run)
+    assert isinstance(found, MeanScene)
+    assert list(found.scenes) == ["the field in fit-1", "the field in fit-2", "the field in fit-3"]
+    for place in [*scenes]:
+        scene = scenes.pop(place)
+        assert splats.scene_of(run) is None, place
+        scenes[place] = scene

@@ -13,7 +13,8 @@ import pytest
 from sensor_model.files.door import allow, given
 from simscenes.backend import activate
 from simscenes.loading.gltf.document import read_document
-from simscenes.loading.load import build_scene
+from simscenes.loading.load import build_scene, load_here
+from simscenes.loading.reference import SceneRef
 from tests.simscenes.loading.gltf.writer import SQUARE, UV, GltfWriter, floor
 
 pytest.importorskip("pygltflib", reason="the extra gltf is not installed")
@@ -288,7 +289,10 @@ REFUSED = [
     ),
     ("materials/0/extensions", {"KHR_materials_specular": {"specularFactor": 0.5}}, "KHR_materials_specular"),
     ("materials/0/alphaMode", "GLASS", "alphaMode must be one of"),
-    ("materials/0/pbrMetallicRoughness/baseColorFactor", [0, 0, 2, 1], r"baseColorFactor must be 4 numbers in 0\.\.1"),
+    *[
+        ("materials/0/pbrMetallicRoughness/baseColorFactor", factor, r"baseColorFactor must be 4 numbers in 0\.\.1")
+        for factor in ([2, 0, 0, 1], [0, 0, 2, 1], [0, 0, 0, 2])
+    ],
     ("materials/0/pbrMetallicRoughness/roughnessFactor", 1.5, r"roughnessFactor must lie in 0\.\.1, got 1.5"),
     ("extensionsRequired", ["KHR_draco_mesh_compression"], "requires the extension 'KHR_draco_mesh_compression'"),
     ("cameraRig", {"a": 1}, "t.glb sets 'cameraRig'"),
@@ -312,7 +316,7 @@ def test_a_file_with_something_that_is_not_understood_is_refused_by_its_name(
     writer = floor(json.loads(json.dumps(LAMBERT)))
     change(path, value)(writer.content)
     with pytest.raises(ValueError, match=said):
-        build_scene(writer.write(tmp_path / "t.glb"), activate())
+        load_here(SceneRef.of(writer.write(tmp_path / "t.glb")), activate())
 
 
 HARMLESS = [
