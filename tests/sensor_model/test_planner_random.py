@@ -308,6 +308,14 @@ def test_codes_of_the_low_gain_are_coarse_or_fine_from_its_threshold_on(threshol
     assert not planner._is_coarse(sensor, 8.0, 100.0)  # where no signal is as low as the threshold
 
 
+@pytest.mark.parametrize(("signal", "coarse"), [(6.0, True), (8.0, False)])
+def test_codes_of_the_high_gain_are_coarse_though_the_low_gain_reads_with_much_noise(
+    signal: float, coarse: bool
+) -> None:
+    sensor = replace(CAMERA, gain=0.25, sigma_d=0.0, dual_gain=DualGain(threshold=20.0, sigma_d=30.0, ratio=4.0))
+    assert planner._is_coarse(sensor, signal, 100.0) == coarse
+
+
 def test_coarse_codes_of_the_darkest_signal_count_beside_bright_ones() -> None:
     sensor = replace(CAMERA, gain=0.25, sigma_d=0.0, dual_gain=None, defects=None, coupling=0.0, prnu=0.0, optics=None)
     on = [plan_effects(sensor, EXPOSURE, signal, 0.99).is_on("dsnu") for signal in ([6.0, 50.0], [8.0, 50.0])]

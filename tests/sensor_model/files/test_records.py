@@ -106,7 +106,8 @@ WHOLE: dict[str, Any] = {"name": "a", "sizes": [1, 2, 3], "scores": {"x": 0.5, "
     ("changes", "place"),
     [
         ({"sizes": [1, 2.5, 3]}, "sizes[1]"), ({"sizes": [1, 2, True]}, "sizes[2]"),
-        ({"scores": {"x": 0.5, "y": "2"}}, "scores.y"), ({"note": 3}, "note"), ({"name": None}, "name"),
+        ({"scores": {"x": 0.5, "y": "2"}}, "scores.y"), ({"scores": {"x": "0.5", "y": 2}}, "scores.x"),
+        ({"note": 3}, "note"), ({"name": None}, "name"),
     ],
 )  # fmt: skip
 def test_whatever_part_has_another_shape_is_named(changes: dict[str, Any], place: str) -> None:
@@ -126,6 +127,7 @@ def test_what_is_nested_too_deeply_beside_flat_parts_is_refused(kind: str) -> No
         check_depth([[], deep])
 
 
-def test_a_name_that_stands_twice_behind_others_is_said() -> None:
+@pytest.mark.parametrize("names", ["abcc", "ccab", "cac", "caac"])
+def test_a_name_that_stands_twice_among_others_is_said(names: str) -> None:
     with pytest.raises(ValueError, match="'c' stands twice in one object"):
-        parse_json('{"a": 1, "b": 2, "c": 3, "c": 4}', "x.json")
+        parse_json("{" + ", ".join(f'"{name}": 1' for name in names) + "}", "x.json")

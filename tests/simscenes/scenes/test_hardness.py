@@ -10,6 +10,7 @@ from simscenes import SCENES, default_rig
 from simscenes.backend import activate
 from simscenes.loading.load import build_scene
 from simscenes.render.geometry import geometry_channels
+from simscenes.scenes.parts.remembered import remembered
 from simscenes.transport import pilot
 from simscenes.transport.lengths import SPECULAR
 
@@ -81,3 +82,33 @@ def test_fine_and_many_coloured_things_are_there_in_full() -> None:
     assert lattice.vertex_count() == 8 * (19 + 12)  # two crossed strips a wire
     card = SCENES["market"](0)["card_0"]["bsdf"]
     assert "[96, 32]" in str(card)  # three chips of 32 px, of three colours
+    toys = SCENES["tabletop"](0)
+    papers = {str(toys[f"wall_{side}"].bsdf()) for side in ("north", "south", "east", "west")}
+    covers = {str(toys[f"book_{k}"]["bsdf"]) for k in range(4)}
+    assert len(papers) == len(covers) == 4  # told apart by their mean colour
+
+
+def test_a_texture_is_remembered_by_all_that_it_is_made_of_wherever_the_generator_stands() -> None:
+    made = []
+
+    @remembered
+    def spots(*what: Any, size: int = 2) -> np.ndarray:
+        made.append(what)
+        (rng,) = (part for part in what if isinstance(part, np.random.Generator))
+        return rng.random((size, size, 3)).astype(np.float32)
+
+    def drawn(seed: int, *, first: bool = False, kind: str = "a", size: int = 2) -> tuple[np.ndarray, float]:
+        rng = np.random.default_rng(seed)
+        return spots(*((rng, kind) if first else (kind, rng)), size=size), rng.random()
+
+    for first in (False, True):
+        begun = len(made)
+        texels, after = drawn(0, first=first)
+        again, as_well = drawn(0, first=first)
+        assert len(made) == begun + (not first)  # in either order it is made of the same
+        assert (again == texels).all()
+        assert as_well == after
+    for other in ({"seed": 1}, {"seed": 0, "kind": "b"}, {"seed": 0, "size": 3}):
+        begun = len(made)
+        drawn(**other)
+        assert len(made) == begun + 1, other

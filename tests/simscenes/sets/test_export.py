@@ -275,6 +275,19 @@ def test_a_scene_that_is_deeper_than_three_times_its_nearness_is_said_to_stick_o
     assert 1.2 < json.loads((folder / "transforms_train.json").read_text())["scene_scale"] < 1.6
 
 
+def test_a_scene_that_fits_no_bounds_is_scaled_so_that_the_least_of_it_is_outside() -> None:
+    z = [np.geomspace(0.5, 20.0, 2000), np.geomspace(0.7, 30.0, 999)]
+    depths = Depths(z=z, distance=z, nearest=0.5, farthest=30.0, center=np.zeros(3))
+    scale, _, outside = depths.fit(2.0, 6.0)
+    every = np.concatenate(z)
+
+    def share(scale: float) -> float:
+        return float(np.mean((every * scale < 2.0) | (every * scale > 6.0)))
+
+    assert outside == share(scale)
+    assert outside <= min(share(other) for other in np.geomspace(0.01, 20.0, 2000)) + 2 / every.size
+
+
 def test_exports_tell_nerfbaselines_how_to_read_them_and_what_the_scene_is_called(mkdirs: Path) -> None:
     views, points = make_set(mkdirs, scene="cornell:3")
     wanted = {"loader": "colmap", "loader_kwargs": {"images_path": "images", "colmap_path": "sparse/0"}}

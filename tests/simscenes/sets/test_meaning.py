@@ -151,6 +151,9 @@ def test_pictures_behind_the_first_one_are_refused_unless_they_are_smaller(tmp_p
     (tmp_path / "e.jpg").write_bytes(whole[: whole.rindex(b"\xff\xd8\xff")])  # without the last one
     with pytest.raises(ValueError, match=r"e\.jpg holds 4 pictures, of which only the first is read"):
         read_rgb(tmp_path / "e.jpg")
+    first.save(tmp_path / "f.jpg", "MPO", save_all=True, append_images=[first, small])
+    with pytest.raises(ValueError, match=r"f\.jpg holds 3 pictures, of which only the first is read"):
+        read_rgb(tmp_path / "f.jpg")
     first.convert("CMYK").save(tmp_path / "d.jpg")
     with pytest.raises(ValueError, match=r"d\.jpg is a picture in CMYK"):
         read_rgb(tmp_path / "d.jpg")
@@ -297,3 +300,4 @@ def test_one_mosaic_among_several_pictures_is_none_of_all() -> None:
     mosaic, gray = mosaic_of(textured(), 0.0, 4000), textured()[..., 1] * 4000
     assert is_mosaic(mosaic)
     assert not is_mosaic(mosaic, gray, gray)
+    assert not is_mosaic(gray, gray, mosaic)

@@ -66,9 +66,9 @@ def test_pycolmap_reads_the_folder_with_exact_reprojection(written: tuple) -> No
 
 def test_every_view_that_has_another_name_than_its_file_is_told_with_the_file(written: tuple) -> None:
     views = load_set(written[0])
-    files = [file if k in (0, 3) else file.with_stem(f"odd {k}") for k, file in enumerate(views.files)]
+    files = [file if k in (1, 3) else file.with_stem(f"odd {k}") for k, file in enumerate(views.files)]
     found = replace(views, files=tuple(files)).renamed
-    assert found == {name: f"images/odd {k}.png" for k, name in enumerate(views.names) if k not in (0, 3)}
+    assert found == {name: f"images/odd {k}.png" for k, name in enumerate(views.names) if k not in (1, 3)}
 
 
 def test_written_cameras_come_back_exactly(written: tuple) -> None:
@@ -294,13 +294,16 @@ def test_missing_views_are_skipped_and_counted_once(tmp_path: Path) -> None:
     assert np.allclose(loaded.rig.viewmats, rig.viewmats[[1, 0]])
 
 
-def test_one_photograph_that_can_be_transparent_and_one_lens_that_distorts_are_enough(tmp_path: Path) -> None:
+@pytest.mark.parametrize("clear", ["a.png", "c.png"])
+def test_one_photograph_that_can_be_transparent_and_one_lens_that_distorts_are_enough(
+    clear: str, tmp_path: Path
+) -> None:
     rig, names = small_rig(3), ["a.png", "b.png", "c.png"]
     make_images(tmp_path, names, 40, 30)
     transforms(tmp_path, rig, names, fl_x=30.0)
     plain = load_set(tmp_path)
     assert (plain.transparent, plain.lenses) == (False, None)
-    cv2.imwrite(str(tmp_path / "c.png"), np.full((30, 40, 4), 90, np.uint8))
+    cv2.imwrite(str(tmp_path / clear), np.full((30, 40, 4), 90, np.uint8))
     content = json.loads((tmp_path / "transforms.json").read_text())
     content["frames"][1]["k1"] = 0.02
     (tmp_path / "transforms.json").write_text(json.dumps(content))
@@ -311,11 +314,13 @@ def test_one_photograph_that_can_be_transparent_and_one_lens_that_distorts_are_e
 
 
 def test_pictures_without_a_camera_are_found_beside_those_of_every_folder(tmp_path: Path) -> None:
-    rig, names = small_rig(2), ["one/a.png", "two/a.png"]
-    for folder in ("one", "two"):
-        make_images(tmp_path / folder, ["a.png", f"left_{folder}.png"], 40, 30)
+    """Of each kind that some picture with a camera has."""
+    rig, names = small_rig(2), ["one/a.png", "two/a.jpg"]
+    for folder, own in (("one", "a.png"), ("two", "a.jpg")):
+        make_images(tmp_path / folder, [own, f"left_{folder}.png", f"left_{folder}.jpg", f"{folder}.bmp"], 40, 30)
     transforms(tmp_path, rig, names, fl_x=30.0)
-    assert load_set(tmp_path).unregistered == ("one/left_one.png", "two/left_two.png")
+    left = [f"{folder}/left_{folder}.{kind}" for folder in ("one", "two") for kind in ("jpg", "png")]
+    assert load_set(tmp_path).unregistered == tuple(left)
 
 
 def test_light_of_a_rendered_view_has_all_its_colours(tmp_path: Path) -> None:

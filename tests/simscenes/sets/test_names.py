@@ -82,6 +82,18 @@ def test_names_are_safe_short_and_differ_even_without_case() -> None:
 
 
 @pytest.mark.parametrize(
+    ("files", "names"),
+    [
+        (["x/a.png", "y/b.png", "z/c.png"], ["a", "b", "c"]),
+        (["x/a.png", "y/b.png", "z/A.png"], ["x_a", "y_b", "z_A"]),
+        (["x/a.png", "x/b.png", "x/a.jpg"], ["a~2", "b", "a"]),
+    ],
+)
+def test_views_are_named_by_their_folders_only_where_stems_are_alike(files: list[str], names: list[str]) -> None:
+    assert view_names([Path("set") / file for file in files]) == names
+
+
+@pytest.mark.parametrize(
     ("names", "said"),
     [
         (["a", "b/c"], r"must be safe as file names, got 'b/c': 'b_c' would be"),

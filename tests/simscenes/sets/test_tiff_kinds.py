@@ -130,8 +130,10 @@ def pages(file: Path, *pictures: tuple[np.ndarray, int]) -> Path:
 def test_pages_are_alike_if_all_of_them_have_one_size_and_one_depth(tmp_path: Path) -> None:
     page = codes(16, 1)
     assert like_pages(pages(tmp_path / "a.tif", (page, 0), (page, 0), (page, 0))) == 3
-    for last in (page[:-1], codes(8, 1), codes(16, 3)):
-        assert like_pages(pages(tmp_path / "b.tif", (page, 0), (page, 0), (last, 0))) == 0
+    for other in (page[:-1], codes(8, 1), codes(16, 3)):
+        for place in range(3):
+            written = [(other if k == place else page, 0) for k in range(3)]
+            assert like_pages(pages(tmp_path / "b.tif", *written)) == 0
 
 
 @pytest.mark.parametrize("bits", [8, 16])

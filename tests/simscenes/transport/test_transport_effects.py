@@ -305,6 +305,7 @@ def test_materials_that_let_light_of_points_pass_are_found_among_others() -> Non
     mask = {"type": "mask", "opacity": 0.5, "nested": {"type": "diffuse"}}
     shapes = {name: {"type": "sphere", "bsdf": bsdf} for name, bsdf in
               (("a", {"type": "diffuse"}), ("b", mask), ("c", {"type": "thindielectric"}))}  # fmt: skip
-    found = effects.screens_before_points(mi.load_dict({"type": "scene", "lamp": lamp, **shapes}), mi)
-    assert found == ["MaskBSDF", "ThinDielectric"]
+    for names in ("abc", "bca", "cab"):
+        scene = {"type": "scene", "lamp": lamp, **{f"shape {k}": shapes[name] for k, name in enumerate(names)}}
+        assert effects.screens_before_points(mi.load_dict(scene), mi) == ["MaskBSDF", "ThinDielectric"]
     assert effects.screens_before_points(mi.load_dict({"type": "scene", **shapes}), mi) == []

@@ -79,9 +79,12 @@ def test_masks_among_photographs_are_told_by_their_names_folders_and_two_colours
     photographs = [tmp_path / name for name in ("a.jpg", "b.jpg", "c.jpg", "mask_of_clay.jpg")]
     for file in photographs:
         Image.fromarray(rng.integers(0, 255, (24, 32, 3), np.uint8)).save(file)
-    named = [picture(tmp_path, name, 32, 24) for name in ("b.jpg.png", "c_mask.png", "masks/z.png")]
+    named = [
+        picture(tmp_path, name, 32, 24)
+        for name in ("a.jpg.png", "a_mask.png", "b.jpg.png", "c_mask.png", "masks/z.png")
+    ]
     drawn = tmp_path / "y.png"
     Image.fromarray(np.repeat(np.eye(24, 32, dtype=np.uint8)[..., None] * 255, 3, 2)).save(drawn)
     assert named_as_masks([*photographs, *named, drawn]) == named
     assert without_masks([*photographs, *named, drawn]) == (photographs, [*named, drawn])
-    assert without_masks([named[2], drawn])[1] == []  # if all would be masks, none is
+    assert without_masks([named[-1], drawn])[1] == []  # if all would be masks, none is

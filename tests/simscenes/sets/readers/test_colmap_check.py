@@ -72,6 +72,21 @@ def test_a_text_file_without_comments_is_whole_only_with_its_last_line_break(
         check_model(copy)
 
 
+@pytest.mark.parametrize("place", [0, 1, -1])
+def test_an_announced_number_counts_wherever_its_comment_stands(place: int, text: Path, tmp_path: Path) -> None:
+    copy = Path(shutil.copytree(text, tmp_path / "announced"))
+    lines = [line for line in (copy / "points3D.txt").read_text().splitlines() if not line.startswith("#")]
+    for announced in (len(lines), len(lines) + 1):
+        told = [*lines]
+        told.insert(place if place >= 0 else len(lines), f"# Number of points: {announced}, mean track length: 2")
+        (copy / "points3D.txt").write_text("".join(f"{line}\n" for line in told))
+        if announced == len(lines):
+            assert len(check_model(copy).names) == 2
+        else:
+            with pytest.raises(ValueError, match=rf"it announces {announced} points and has {len(lines)}"):
+                check_model(copy)
+
+
 def without_points(text: Path, folder: Path) -> Path:
     """The text model of no points, which are not in its pictures either."""
     copy = Path(shutil.copytree(text, folder / "no-points"))

@@ -204,6 +204,7 @@ def test_all_points_of_a_model_are_read_with_their_colours_and_tracks(text: bool
     assert (len(found.error), len(found.view)) == (3, 6)
 
 
+@pytest.mark.parametrize("number", ["1", "2"])
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
@@ -214,11 +215,13 @@ def test_all_points_of_a_model_are_read_with_their_colours_and_tracks(text: bool
     ],
     ids=["cut short", "a track of no image", "nowhere", "another number"],
 )
-def test_the_second_point_of_a_text_model_is_checked_as_well(wrong: Any, said: str, tmp_path: Path) -> None:
+def test_the_second_point_of_a_text_model_is_checked_as_well_as_the_first(
+    wrong: Any, said: str, number: str, tmp_path: Path
+) -> None:
     file = as_text(with_tracks(tmp_path)) / "points3D.txt"
     lines = file.read_text().splitlines()
-    (second,) = (i for i, line in enumerate(lines) if line.startswith("2 "))
-    lines[second] = " ".join(wrong(lines[second].split()))
+    (place,) = (i for i, line in enumerate(lines) if line.startswith(f"{number} "))
+    lines[place] = " ".join(wrong(lines[place].split()))
     file.write_text("\n".join([*(line for line in lines if line.startswith("#")),
                                *sorted(line for line in lines if not line.startswith("#"))]) + "\n")  # fmt: skip
     with pytest.raises(ValueError, match=said):

@@ -35,6 +35,7 @@ def test_case_is_overlooked_where_one_file_is_left_that_nobody_else_lists(tmp_pa
     ]  # fmt: skip
     touched(tmp_path, "Images/Other/e.png", "images/Sub/e.png")
     assert find_file(folder, "IMAGES/SUB/e.png") == folder / "images/Sub/e.png"
+    assert find_file(folder, "IMAGES/OTHER/e.png") == folder / "Images/Other/e.png"
     assert find_file(folder / "images", "../iMAGES/a.png") == folder / "images/../Images/A.png"
     assert find_file(folder, "images/straße.png") is None
 
@@ -75,8 +76,10 @@ def test_pictures_in_another_folder_are_not_taken_and_are_said(tmp_path: Path) -
 
 
 def test_a_missing_picture_is_looked_for_elsewhere_though_the_first_is_there(tmp_path: Path) -> None:
-    folder, listed = touched(tmp_path, "a.png", "raw/b.png"), ["a.png", "b.png", "c.png"]
-    assert spelt(folder, listed, find_files(folder, listed)) == ["a.png", "b.png (raw/b.png is there)", "c.png"]
+    folder, there = touched(tmp_path, "a.png", "raw/b.png"), "b.png (raw/b.png is there)"
+    for listed in (["a.png", "b.png", "c.png"], ["a.png", "b.png"], ["b.png", "a.png"]):
+        wanted = [there if name == "b.png" else name for name in listed]
+        assert spelt(folder, listed, find_files(folder, listed)) == wanted
 
 
 def test_a_few_names_are_shown_on_one_line() -> None:

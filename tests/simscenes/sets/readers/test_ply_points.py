@@ -77,6 +77,7 @@ def test_points_and_colours_come_out_of_any_ply(form: str, columns: str, before:
             ply("binary_little_endian", before=True).replace(b"property int view_id", b"property list int int view_id"),
             "points must come before elements of lists",
         ),
+        (ply("ascii").replace(b"property float x", b"property list uchar int x"), "points, x list, y f4, z f4, red u1"),
         (with_rows(b"0 0 0\n1 1\n"), "point 1 must have 3 numbers, got 2"),
         (with_rows(b"0 0\n1 1 1\n"), "point 0 must have 3 numbers, got 2"),
         (b"ply\nformat zip 1.0\nelement vertex 1\nproperty float x\nend_header\n", "got format zip, 1 points"),
@@ -89,10 +90,12 @@ def test_what_is_no_file_of_points_is_refused_with_the_reason(content: bytes, me
 
 
 def test_a_third_of_a_colour_is_none(tmp_path: Path) -> None:
-    whole, grey = ply("ascii"), ply("ascii", columns="xyz")
-    for name, content in (("a", whole.replace(b"uchar green", b"uchar other")), ("b", grey)):
-        (tmp_path / f"{name}.ply").write_bytes(content)
-    found = [read_ply_points(tmp_path / f"{name}.ply").rgb for name in "ab"]
+    whole, file = ply("ascii"), tmp_path / "a.ply"
+    lacking = [whole.replace(b"uchar " + name, b"uchar other") for name in (b"red", b"green", b"blue")]
+    found = []
+    for content in (*lacking, ply("ascii", columns="xyz")):
+        file.write_bytes(content)
+        found.append(read_ply_points(file).rgb)
     assert len(np.unique(found)) == 1
 
 

@@ -86,9 +86,22 @@ def test_what_a_frame_states_of_its_focal_length_counts_before_all_that_the_file
     np.testing.assert_allclose(Ks[:, [0, 1], [0, 1]], [[fx, fy], [99, 88]], rtol=1e-12)
 
 
-def test_two_focal_lengths_of_a_later_frame_are_said_though_the_first_has_one(tmp_path: Path) -> None:
-    folder = folder_of(tmp_path, first={"fl_x": 33.0}, fl_x=60.0, camera_angle_x=X, w=WIDTH, h=HEIGHT)
+@pytest.mark.parametrize(
+    ("first", "shared"),
+    [({"fl_x": 33.0}, {"fl_x": 60.0, "camera_angle_x": X}), ({"fl_x": 60.0, "camera_angle_x": X}, {"fl_x": 33.0})],
+)
+def test_two_focal_lengths_are_said_whichever_frame_has_them(
+    first: dict[str, Any], shared: dict[str, Any], tmp_path: Path
+) -> None:
+    folder = folder_of(tmp_path, first=first, w=WIDTH, h=HEIGHT, **shared)
     with pytest.warns(UserWarning, match="states two focal lengths: fl_x gives 60 px, .*; fl_x counts"):
+        load_set(folder)
+
+
+@pytest.mark.parametrize(("first", "px"), [({"fl_x": 60.0}, "1"), ({}, "0.58")])
+def test_what_a_shutter_costs_is_said_of_the_first_focal_length(first: dict[str, Any], px: str, tmp_path: Path) -> None:
+    folder = folder_of(tmp_path, first=first, fl_x=33.0, rolling_shutter=[0, 0, 0.03])
+    with pytest.warns(UserWarning, match=f"shifts the last rows by {px} px"):
         load_set(folder)
 
 
