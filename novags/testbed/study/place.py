@@ -171,8 +171,9 @@ def said(preset: Preset, out: Path, console: Console, *, overwrite: bool = False
     refuse_impossible(preset)
     plan, made = _planned(preset, out, console, overwrite), dict[str, bool]()
     for key, task in plan.tasks.items():
-        folder, waits = task.folder(out), f"the {plan.tasks[task.needs[0]].place}" if task.needs else ""
-        again = any(made[need] for need in task.needs)
+        need = next(iter(task.needs), None)  # one at most, see `_source`
+        folder, waits = task.folder(out), "" if need is None else f"the {plan.tasks[need].place}"
+        again = need is not None and made[need]
         for number, (name, step) in enumerate(steps(task, folder, _source(task, out), console).items()):
             if again:  # an input that is made counts by its key: whether it comes out equal is seen then
                 but = f", unless {waits} comes out as before" if (folder / step.record).exists() else ""

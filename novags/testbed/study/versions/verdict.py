@@ -37,9 +37,8 @@ class ComparisonVerdict:
 
     @cached_property
     def whole(self) -> list[dict[str, Any]]:
-        """Of these the rows over all scenes."""
-        several = any(row[SCENE] == ALL for row in self.rows)
-        return [row for row in self.rows if not several or row[SCENE] == ALL]
+        """Of these the rows over all scenes; of one scene all rows."""
+        return [row for row in self.rows if row[SCENE] == ALL] or self.rows
 
     @property
     def same(self) -> bool:

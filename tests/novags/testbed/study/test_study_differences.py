@@ -54,6 +54,11 @@ def test_the_share_that_a_method_recovers_stands_beside_its_gain_over_the_floor_
     assert shares == {("mine", "naive"): pytest.approx(0.3), ("oracle", "naive"): None, ("oracle", "mine"): None}
 
 
+def test_scenes_stand_in_the_order_of_the_study_also_where_it_goes_through_them_once_for_each_method() -> None:
+    rows = rows_of(AXES, [finished(scene, 0, method) for method in LEVEL for scene in "ts"])
+    assert list(dict.fromkeys(each["scene"] for each in rows)) == ["t", "s", ALL]
+
+
 @pytest.mark.parametrize("order", [("naive", "mine", "oracle"), ("mine", "oracle", "naive")])
 def test_a_share_is_given_in_any_order_of_the_methods_and_none_of_two_enhancements(order: tuple[str, ...]) -> None:
     found = [finished("s", seed, method) for method in order for seed in (0, 1)]

@@ -112,6 +112,51 @@ def test_the_ends_of_the_scale_come_first_and_what_they_say_is_said_before_the_r
     assert [row["method"] for row in read_json(tmp_path / "results.json")["rows"]] == ["naive-l1", "naive", "oracle"]
 
 
+@pytest.mark.parametrize("methods", [("naive", "naive-l1", "oracle"), ("naive-l1", "oracle", "nova", "naive")])
+def test_the_ends_of_the_scale_are_planned_first_wherever_they_are_named(
+    tmp_path: Path, methods: tuple[str, ...]
+) -> None:
+    plan = place._planned(adapted(EXPERIMENTS["demo"], **TINY, methods=methods), tmp_path, QUIET, False)
+    places = [task.place for task in plan.tasks.values() if task.kind == "run"]
+    ends = [name for name in methods if name in ("naive", "oracle")]
+    assert places == ends + [name for name in methods if name not in ends]
+
+
+@pytest.mark.parametrize("done", [0, 1, 2])
+def test_one_run_that_is_done_is_enough_for_a_report(
+    done: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows = [{"state": "done" if k == done else "failed", "reason": "no light"} for k in range(3)]
+    monkeypatch.setattr(place, "_planned", lambda *_: None)
+    monkeypatch.setattr(place, "conduct", lambda *_, **__: rows)
+    reported = list[Path]()
+
+    def report(out: Path, console: Console) -> Path:
+        reported.append(out)
+        return out
+
+    with pytest.raises(ValueError, match="no light"):
+        place.run(EXPERIMENTS["demo"], tmp_path, QUIET, report=report)
+    assert reported == [tmp_path]
+    assert read_json(tmp_path / "experiment.json")["preset"]["methods"] == list(EXPERIMENTS["demo"].methods)
+
+
+def test_a_dry_run_names_every_stage_and_says_of_what_was_made_that_it_may_stay(tmp_path: Path) -> None:
+    def said(**more: bool) -> list[str]:
+        screen = io.StringIO()
+        preset = adapted(EXPERIMENTS["demo"], **TINY, methods=("naive", "oracle"))
+        place.said(preset, tmp_path, Console(stream=screen), **more)
+        return [line.partition(" (dry run")[0] for line in screen.getvalue().splitlines()]
+
+    first = said()
+    assert first[0] == f"render: to be made in {tmp_path / 'set'}"
+    assert first[1:5] == ["capture: to be made", "naive: to be made", "score naive: to be made", "oracle: to be made"]
+    assert not list(tmp_path.iterdir())
+    (tmp_path / "capture").mkdir()
+    (tmp_path / "capture" / "capture.json").touch()
+    assert said(overwrite=True)[1] == "capture: to be made, unless the set comes out as before"
+
+
 def test_a_method_that_fails_costs_no_other_and_is_tried_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuses(*_: Any, **__: Any) -> NoReturn:
         raise LacksInput("nothing to learn from")

@@ -315,12 +315,12 @@ def test_all_runs_of_a_study_are_its_ends(tmp_path: Path) -> None:
 
 
 def test_every_finished_entry_counts_in_what_others_will_cost() -> None:
-    """The median of those that are most alike: of five, all but the first take thrice the guess."""
+    """The median of those that are most alike is thrice the guess: it is none of four of them."""
     guess = default("run", 100.0, 10.0)
     entries = [{"kind": "run", "group": "naive", "threads": 1, "work": 100.0, "pixels": 10.0,
                 "peak_bytes": guess.memory, "bytes": 1,
                 "seconds": {"fit": factor * guess.seconds / 2, "render": factor * guess.seconds / 2}}
-               for factor in (1.0, 3.0, 3.0, 3.0, 3.0)]  # fmt: skip
+               for factor in (2.0, 4.0, 3.0, 1.0, 9.0)]  # fmt: skip
     costs = Costs.of(entries, {"run": 1})
     task: Any = SimpleNamespace(kind="run", group="naive", work=100.0, pixels=10.0, memory=0.0, disk=0.0)
     assert costs.predicted(task).seconds == pytest.approx(3 * guess.seconds)

@@ -1,5 +1,6 @@
 """Claims about the table of a study: which rows are kept, and what is recovered where."""
 
+import csv
 import json
 from pathlib import Path
 from types import SimpleNamespace
@@ -7,7 +8,9 @@ from typing import Any
 
 import pytest
 
+from novags.testbed.folders.run import METRICS
 from novags.testbed.study import results
+from novags.testbed.study.differences import ALL, DIFFERENCES
 from novags.testbed.study.results import State, StudyTable, _write, counted, flat_scores, rows_before
 
 SCORES = {"naive": 20.0, "mine": 24.0, "oracle": 30.0}
@@ -79,8 +82,29 @@ def test_rows_of_finished_runs_that_are_still_there_stand(tmp_path: Path) -> Non
     rows = [{"state": "failed" if k == 4 else "done", "folder": f"../store/run/{key}", "x": k}
             for k, key in enumerate(keys[:8])]  # fmt: skip
     (tmp_path / "out" / "results.json").write_text(json.dumps({"axes": {}, "rows": rows}))
-    found = rows_before(plan, tmp_path / "out", tmp_path / "store", None, {*keys[2:]})
-    assert {key: row["x"] for key, row in found.items()} == {keys[k]: k for k in (2, 3, 5, 6, 7)}
+    found = rows_before(plan, tmp_path / "out", tmp_path / "store", None, {*keys} - {keys[1]})
+    assert {key: row["x"] for key, row in found.items()} == {keys[k]: k for k in (0, 2, 3, 5, 6, 7)}
+
+
+def test_every_run_with_scores_on_this_machine_counts_in_the_differences(tmp_path: Path) -> None:
+    made, states = table(tmp_path), dict[str, State]()
+    (tmp_path / "out").mkdir()
+    for _, key in made.plan.runs:
+        folder, states[key] = tmp_path / "store" / "run" / key, State("done")
+        folder.mkdir(parents=True)
+        (folder / METRICS).touch()
+
+    def seeds() -> dict[tuple[str, str, str], str]:
+        made.write(states)
+        with (tmp_path / "out" / DIFFERENCES).open() as file:
+            rows = [row for row in csv.DictReader(file) if row["score"] == "lit.tone_aligned_psnr"]
+        return {(row["scene"], row["method"], row["than"]): row["seeds"] for row in rows}
+
+    pairs = [("mine", "naive"), ("oracle", "naive"), ("oracle", "mine")]
+    whole = {(scene, *pair): "2" for scene in ("s", "t", ALL) for pair in pairs}
+    assert seeds() == whole
+    (tmp_path / "store" / "run" / "t1oracle" / METRICS).unlink()  # it lies elsewhere
+    assert seeds() == whole | {("t", *pair): "1" for pair in pairs[1:]}
 
 
 def test_the_table_has_every_column_that_any_row_has_and_costs_come_last(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from novags.testbed.study import simulate
 from novags.testbed.study.cells.grid import read_study
-from novags.testbed.study.costs import Cost
+from novags.testbed.study.costs import Cost, longest_after
 from novags.testbed.study.engines.choice import OneMachine
 from novags.testbed.study.plan import StudyPlan
 from novags.testbed.study.simulate import at_least, makespan, said_threads, simulated
@@ -28,6 +28,13 @@ def plan(fake: ModuleType, tmp_path: Path) -> StudyPlan:
 def test_the_longest_chain_goes_first_and_each_task_as_soon_as_it_can(plan: StudyPlan) -> None:
     # Two places: a 0-3, b 0-2, e 2-5, d 3-7, c 5-7, f 7-8; the shortest first would take 9.
     assert [makespan(plan, SECONDS, places) for places in (1, 2, 3, 6)] == [15, 8, 7, 7]
+
+
+def test_a_chain_begins_with_every_task_that_its_next_one_needs(fake: ModuleType, tmp_path: Path) -> None:
+    (tmp_path / "study.toml").write_text("")
+    tasks = {"a": fake.task("a"), "b": fake.task("b"), "c": fake.task("c", "a", "b")}
+    plan = StudyPlan(read_study(tmp_path / "study.toml"), tasks, ())
+    assert longest_after(plan, {"a": 1.0, "b": 2.0, "c": 4.0}) == {"a": 5.0, "b": 6.0, "c": 4.0}
 
 
 def test_no_schedule_is_shorter_than_the_work_shared_or_the_longest_chain(plan: StudyPlan) -> None:

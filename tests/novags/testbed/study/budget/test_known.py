@@ -47,6 +47,15 @@ def test_options_are_shares_of_the_default_and_never_a_gain() -> None:
     assert measured[0.5].factors == {"fit": 0.75}
 
 
+def test_a_default_counts_wherever_it_stands_and_alone(tmp_path: Path) -> None:
+    default = point(800, 0.0, 4.0)
+    points = [default, *(each for each in CURVE if each != default)]
+    assert options_of(points) == options_of(CURVE)
+    assert [option.share for option in options_of([default])["points"]] == [1.0]
+    write(tmp_path / "curves.jsonl", points)
+    assert known(tmp_path).points == (default,)
+
+
 def other(points: list[Any], name: str, part: str) -> list[Any]:
     """The same points of another method, whose training has another part, twice as long and with half the loss."""
     return [
@@ -150,7 +159,7 @@ def test_all_settings_that_make_sense_for_the_preset_stay_open_and_no_others() -
 
     preset = adapted(EXPERIMENTS["demo"], methods=("naive",), iterations=100, points=1000, spp=4)
     options = {"iterations": settings(0.01, 0.1, 0.5, 1.0), "points": settings(0.05, 1.0),
-               "spp": settings(0.25, 0.5, 1.0), "denoiser_steps": settings(0.5, 1.0),
+               "spp": settings(0.5, 0.25, 1.0), "denoiser_steps": settings(0.5, 1.0),
                "size": settings(0.5, 1.0)}  # fmt: skip
     found = open_options(preset, options, {"size"})
     assert {name: [option.share for option in own] for name, own in found.items()} == {

@@ -39,6 +39,7 @@ def test_a_pace_is_taken_after_the_first_steps() -> None:
     stamps = {0: 0.0, 1: 50.0, 2: 60.0, 5: 70.0, 6: 70.5, 8: 71.5, 10: 72.5, 11: 90.0}
     assert pace_of(stamps, 0, 10) == pytest.approx(2.5 / 5)
     assert pace_of({1: 3.0, 2: 5.0}, 0, 2) == 2.0  # too few to leave any out
+    assert pace_of({20: 0.0, 21: 1.0, 23: 6.0}, 0, 30) == 2.0  # none of them is among the first
     assert pace_of({7: 1.0}, 0, 10) == 0.0
     assert pace_of({}, 0, 10) == 0.0
 
@@ -93,6 +94,8 @@ def test_a_forecast_scales_views_samples_and_steps_and_nothing_else(tmp_path: Pa
     assert guessed.after["fixed"] == pytest.approx((1 + CAUTION) * first_fixed + 18.0 - 7.0 - 0.4 - 10.0)
     begun = {**cut, f"reconstruct {second}": {k: 30 + 0.03 * k for k in range(1, 41)}}
     assert scaled(large, small, tmp_path, begun, 18.0, tables).after["fit"] == pytest.approx((0.05 + 0.03) * 2400)
+    (tmp_path / first / "metrics.json").unlink()  # both are trained in part, and none is scored
+    assert scaled(large, small, tmp_path, cut, 18.0, tables).untried == METHODS
     (tmp_path / "capture" / "capture.json").unlink()
     with pytest.raises(OutOfTime):
         scaled(large, small, tmp_path, stamps, 5.0, tables)

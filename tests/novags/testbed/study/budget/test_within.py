@@ -191,6 +191,18 @@ def test_pictures_that_took_less_leave_more_for_the_fit(work: Work, tmp_path: Pa
     assert work.now <= 120
 
 
+@pytest.mark.parametrize("order", [1, -1])
+def test_the_pictures_stay_as_chosen_in_any_order_of_the_options(
+    order: int, work: Work, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of 80 s, 62 are left: for a quarter of the samples and half of the iterations."""
+    options = dict([*OPTIONS.items()][::order])
+    monkeypatch.setattr(module, "known", lambda folder, methods: Known(options, "made up"))
+    state = work.do(Request(PRESET, 80.0), tmp_path / "x", Told())
+    assert state["shares"] == {"iterations": 0.5, "spp": 0.25}
+    assert [(done.settings["fit.iterations"], done.render.spp) for done in work.ran] == [(500, 25)]
+
+
 def test_an_excess_is_never_silent(work: Work, tmp_path: Path) -> None:
     work.slow, console, request = 70.0, Told(), Request(PRESET, 120.0)
     work.do(request, tmp_path / "x", console)

@@ -203,6 +203,12 @@ def test_settings_that_only_the_last_stage_needs_are_checked_before_the_first() 
         adapted(EXPERIMENTS["demo"], points=-5)
 
 
+@pytest.mark.parametrize("methods", [("mbllen-gs", "naive"), ("naive", "mbllen-gs", "oracle")])
+def test_a_network_without_weights_is_refused_wherever_it_is_named(methods: tuple[str, ...]) -> None:
+    with pytest.raises(ValueError, match="mbllen-gs: MBLLEN has no weights"):
+        adapted(EXPERIMENTS["demo"], methods=methods).refuse_lacking()
+
+
 def test_a_network_without_weights_is_refused_before_a_picture_is_taken(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="mbllen-gs: MBLLEN has no weights: set enhance.weights to"):
         run(adapted(EXPERIMENTS["demo"], methods=("naive", "mbllen-gs")), tmp_path / "out", Console(quiet=True))

@@ -209,6 +209,7 @@ WRONG: dict[str, tuple[str, str]] = {
     "twice": ("[grid]\nelectrons = [5, 5.0]", "[grid] electrons: 5 is listed twice"),
     "scene twice": ("[grid]\nscene = ['cornell', 'cornell:0']", "[grid] scene: 'cornell' is listed twice, also as"),
     "variation twice": ("[grid]\nscene = ['hall:1', 'hall:01']", "'hall:1' is listed twice, also as 'hall:01'"),
+    "first": ("[grid]\nelectrons = [[6], 5]", "[grid] electrons: each value must be text, a number, or true or false"),
     "second": ("[grid]\nelectrons = [5, [6]]", "[grid] electrons: each value must be text, a number, or true or false"),
     "nested": ("[grid]\nelectrons = [[5, 6]]", "[grid] electrons: each value must be text, a number, or true or false"),
     "setting of a stage": ("[grid]\n'capture.jpeg_qualty' = 9", "CaptureConfig has no setting 'jpeg_qualty'; did"),
@@ -225,6 +226,10 @@ WRONG: dict[str, tuple[str, str]] = {
     ),
     "a later rig": (
         "[grid]\nrig=['a', 'b']\n[override]\nwidth=64\n[rig.a]\nviews=9\n[rig.b]\nwidth=32",
+        "[override]: width is set by [grid] rig too",
+    ),
+    "an earlier rig": (
+        "[grid]\nrig=['b', 'a']\n[override]\nwidth=64\n[rig.a]\nviews=9\n[rig.b]\nwidth=32",
         "[override]: width is set by [grid] rig too",
     ),
     "rig": ("[grid]\nrig = ['b']\n[rig.a]\nviews=9", "[grid] rig: the table [rig.b] is missing; the file has: a"),
@@ -363,3 +368,11 @@ def test_without_a_seed_of_its_own_a_study_has_that_of_its_preset(
         assert study.axes["seed"] == (seed,)
         assert [cell.preset.capture.seed for cell in study.cells] == [seed]
     assert read(tmp_path, f'preset = "mine"\n{text}[override]\nseed = 6\n').axes["seed"] == (6,)
+
+
+@pytest.mark.parametrize("scenes", ["['cornell', 'data:LOM/*']", "['data:LOM/*', 'cornell']"])
+def test_one_scene_that_is_there_is_enough_for_a_study(tmp_path: Path, scenes: str) -> None:
+    (tmp_path / "data").mkdir()
+    (tmp_path / "study.toml").write_text(f"[grid]\nscene = {scenes}\nmethod = 'naive'")
+    study = read_study(tmp_path / "study.toml", tmp_path / "data")
+    assert (study.absent, [cell.values["scene"] for cell in study.cells]) == (("LOM",), ["cornell"])

@@ -69,9 +69,10 @@ def test_an_error_of_nothing_has_no_decibels_and_one_repetition_no_spread(made: 
     assert (slow["front"], default["front"]) == (False, True)  # slower and worse
 
 
-def test_one_error_of_nothing_in_any_repetition_leaves_no_decibels(made: Any) -> None:
+@pytest.mark.parametrize("errors", [(2.0, 0.0), (0.0, 2.0)])
+def test_one_error_of_nothing_in_any_repetition_leaves_no_decibels(made: Any, errors: tuple[float, float]) -> None:
     rows = [made.row("lone", setting, seed, Reading(1.0, 1.0, error))
-            for setting, seed, error in ((1.5, 0, 2.0), (1.5, 1, 0.0), (22.75, 0, 1.0), (22.75, 1, 1.0))]  # fmt: skip
+            for setting, own in ((1.5, errors), (22.75, (1.0, 1.0))) for seed, error in enumerate(own)]  # fmt: skip
     fast, _ = curves(Subject("s", {}, (made.subject(8).knobs[2],)), rows)
     assert fast["db_lost"] is None
 
@@ -99,8 +100,9 @@ def test_the_curves_of_other_subjects_stay_in_the_file(made: Any, tmp_path: Path
     other = [{**point, "knob": point["knob"].replace("made", "other")} for point in points]
     write_curves(tmp_path, points)
     write_curves(tmp_path, other)
-    write_curves(tmp_path, points[:3])
-    assert read_curves(tmp_path) == other + points[:3]
+    for count in (3, 1):
+        write_curves(tmp_path, points[:count])
+        assert read_curves(tmp_path) == other + points[:count]
     write_curves(tmp_path, points + other)  # of two subjects, both of which are there
     assert read_curves(tmp_path) == points + other
 

@@ -10,9 +10,10 @@ from novags.testbed.study.engines import local
 from novags.testbed.study.engines.local import Pool, PoolLimits
 
 
+@pytest.mark.parametrize("order", [1, -1])
 @pytest.mark.parametrize(("free", "given"), [(3e9, ["large"]), (2e9, [])])
 def test_a_job_goes_to_the_idle_worker_with_most_memory_which_counts_as_its_own(
-    free: float, given: list[str], monkeypatch: pytest.MonkeyPatch
+    free: float, given: list[str], order: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Expectation: 1.2 times 7 GB are needed, of which the worker has 6: it fits 3 GB and not 2."""
     found: list[str] = []
@@ -24,7 +25,7 @@ def test_a_job_goes_to_the_idle_worker_with_most_memory_which_counts_as_its_own(
     memory = {"under way": 3e9, "next": 7e9}
     workers = [worker("busy", "under way", 4e9), worker("small", None, 1e9), worker("large", None, 6e9)]
     limits = PoolLimits(3, memory=memory.__getitem__)
-    pool = Pool("doing:make", lambda *_: {}, limits, Mock(), workers=workers)
+    pool = Pool("doing:make", lambda *_: {}, limits, Mock(), workers=workers[::order])
     pool.queue = Mock(ready=lambda: ["next"])
     pool._start_what_fits()
     assert found == given

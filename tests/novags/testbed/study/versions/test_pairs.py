@@ -59,8 +59,9 @@ def test_folders_of_nothing_and_captures_of_one_name_are_refused(tmp_path: Path)
     with pytest.raises(ValueError, match="is no folder of a capture, a run or an experiment"):
         pairs.given([folder(tmp_path / "cube-7"), tmp_path], (0,), QUIET)
     alike = [folder(tmp_path / name) for name in ("first-1", "a/cube-7", "b/cube-7")]
-    with pytest.raises(ValueError, match="two captures are called cube-7: rename one"):
-        pairs.given(alike, (0, 1), QUIET)
+    for folders, seeds in ((alike, (0, 1)), (alike[1:], (0,))):
+        with pytest.raises(ValueError, match="two captures are called cube-7: rename one"):
+            pairs.given(folders, seeds, QUIET)
 
 
 def test_every_capture_that_is_made_is_fitted_with_the_seed_of_its_noise(

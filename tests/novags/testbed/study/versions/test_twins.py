@@ -4,6 +4,7 @@ import itertools
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -132,6 +133,44 @@ def test_what_cannot_be_compared_is_refused(tmp_path: Path) -> None:
         both_sides(twin, twin, {"electron": "20"})
 
 
+@pytest.mark.parametrize("own", ["twin", "real"])
+def test_any_axis_of_either_side_may_choose_its_runs(own: str, tmp_path: Path) -> None:
+    """The light is an axis of one side alone, and the scene of both."""
+    paths = [study(tmp_path / name, METHODS, electrons=(5, 20) if name == own else (20,)) for name in ("twin", "real")]
+    for path in paths:
+        if path.name != own:
+            table = json.loads((path / "results.json").read_text())
+            del table["axes"]["electrons"]
+            (path / "results.json").write_text(json.dumps(table))
+    sides = both_sides(paths[0], paths[1], {"scene": "y", "electrons": "20"})
+    found = [{(row["scene"], row["electrons"]) for row in side.rows} for side in sides]
+    assert found == [{("y", 20)}, {("y", 20)}]
+
+
+def test_every_row_tells_of_its_method_and_its_capture_and_each_capture_counts_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    captures = {"r0": Path("one"), "r1": Path("two"), "r2": Path("two")}
+    monkeypatch.setattr(twins, "open_run", lambda folder: SimpleNamespace(
+        capture=lambda: SimpleNamespace(path=captures[folder.name])))  # fmt: skip
+    monkeypatch.setattr(twins, "pictures_of", lambda capture: [f"{capture.path} {k}" for k in range(2)])
+    rows = [{"method": method, "folder": folder} for method, folder in zip(("a", "b", "c"), captures, strict=True)]
+    side = StudySide(tmp_path, rows, ("method",))
+    assert side.methods == ["a", "b", "c"]
+    assert side.pictures() == ["one 0", "one 1", "two 0", "two 1"]
+
+
+@pytest.mark.parametrize("deep", [True, False])
+def test_the_pictures_of_a_capture_are_all_its_training_views(deep: bool) -> None:
+    capture: Any = SimpleNamespace(
+        cameras=SimpleNamespace(train_indices=[1, 2, 4]), holds=lambda name: deep and name == "images16",
+        srgb8=lambda i: np.full((2, 2, 3), i / 8, np.float32), linear16=lambda i: np.full((2, 2, 3), i, np.float32),
+    )  # fmt: skip
+    found = twins.pictures_of(capture)
+    assert [float(code.mean()) for code, _ in found] == [1 / 8, 2 / 8, 4 / 8]
+    assert [None if light is None else float(light.mean()) for _, light in found] == ([1, 2, 4] if deep else [None] * 3)
+
+
 def test_the_floor_of_the_scale_is_what_others_are_compared_with() -> None:
     assert floor_of(["nova", "naive", "oracle"]) == "naive"
     assert floor_of(["mine", "nova"]) == "mine"
@@ -164,6 +203,16 @@ def test_the_noise_of_the_same_camera_is_the_same_and_a_wrong_read_noise_is_seen
         light = ratio.level * (sensor.white_dn - sensor.black_level) / sensor.gain  # electrons
         expected = np.sqrt((light + weak.sigma_d**2) / (light + sensor.sigma_d**2))
         assert abs(ratio.value - expected) < 2 * ratio.error
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_the_levels_of_light_are_of_all_real_pictures_together(order: int) -> None:
+    """The brighter view has eight times the light of the other."""
+    codes = [(code, light) for code, light in pictures(PRESETS["a7s2-iso6400-3chip"], 1, views=1) if light is not None]
+    real = [(code / share, light / share) for share in (1, 8) for code, light in codes][::order]
+    greens = np.concatenate([light[..., 1].numpy().ravel() for _, light in real])
+    found = noise_ratios(real, real)
+    assert [ratio.level for ratio in found] == pytest.approx(np.quantile(greens.astype(float), twins.LEVELS))
 
 
 def test_without_linear_pictures_of_both_the_8_bit_ones_are_compared_and_one_view_says_nothing() -> None:
