@@ -123,8 +123,7 @@ def characterise_folder(folder: Path, *, window: int = 1024, maps: bool = False)
 
 
 def _setting(folder: Path, notes: Path, window: int, maps: bool) -> MeasuredSetting:
-    frames, held = _held_out(read_frames(folder, window, notes))
-    largest = max(frames.dark, key=lambda stack: len(stack.frames))
+    frames, largest, held = _held_out(read_frames(folder, window, notes))
     if frames.flat:
         sensor, found, assumed = *_measured(frames, folder, notes), dict[str, str]()
     else:
@@ -136,15 +135,16 @@ def _setting(folder: Path, notes: Path, window: int, maps: bool) -> MeasuredSett
     return MeasuredSetting(sensor=sensor, found=found, assumed=assumed, test=test, maps=told, profile=_profile(folder))
 
 
-def _held_out(frames: Frames) -> tuple[Frames, Stack | None]:
-    """Without every fourth frame of the largest dark stack; and these."""
+def _held_out(frames: Frames) -> tuple[Frames, Stack, Stack | None]:
+    """Without every fourth frame of the largest dark stack; that stack without them; and these."""
     most = max(range(len(frames.dark)), key=lambda k: len(frames.dark[k].frames))
     stack = frames.dark[most]
     if len(stack.frames) < ENOUGH:
-        return frames, None
+        return frames, stack, None
     kept = np.arange(len(stack.frames)) % HELD_OUT < HELD_OUT - 1
-    dark = [replace(stack, frames=stack.frames[kept]) if k == most else other for k, other in enumerate(frames.dark)]
-    return replace(frames, dark=dark), replace(stack, frames=stack.frames[~kept])
+    rest = replace(stack, frames=stack.frames[kept])
+    dark = [rest if k == most else other for k, other in enumerate(frames.dark)]
+    return replace(frames, dark=dark), rest, replace(stack, frames=stack.frames[~kept])
 
 
 def _measured(frames: Frames, folder: Path, notes: Path) -> tuple[Sensor, Characterisation]:

@@ -69,6 +69,16 @@ def test_every_fourth_frame_of_the_larger_dark_stack_is_held_out_and_told_in_fou
     assert [float(value) for value in rows[0][17:].split()] == pytest.approx(own, rel=1e-4)
 
 
+def test_frames_that_were_held_out_are_compared_with_the_rest_of_their_own_stack(tmp_path: Path) -> None:
+    """Two stacks of as many frames; without the held-out ones the other, of no dark charge, is the larger."""
+    write(tmp_path, {"dark/0": frames(300.0, 12, 0), "dark/1": frames(0.0, 12, 1)},
+          f"bits = 14\n[camera]\ngain = {GAIN}")  # fmt: skip
+    (setting,) = characterise_folder(tmp_path).settings.values()
+    held, drawn = (float(row[17:].split()[0]) for row in setting.test[1:3])
+    assert held == pytest.approx(BLACK + GAIN * 300, rel=0.02)
+    assert drawn == pytest.approx(held, rel=0.01)
+
+
 def test_a_pattern_far_above_the_noise_is_kept_with_all_that_is_usual_for_it() -> None:
     """By the noise alone, a hundredth of the pattern, three quarters of the pixels would count as far off."""
     seen = np.random.default_rng(4).normal(size=4000)
