@@ -188,7 +188,10 @@ def _in_the_dark(frames: Frames, stack: Stack, assumed: Mapping[str, str], notes
               "mu_e_sat": ((1 << frames.bits) - 1 - black) / gain,
               **({} if frames.cfa == "none" else {"rgb_response": DAYLIGHT})}  # fmt: skip
     with reading(notes / "frames.toml", "correct it"):
-        camera = DarkFrames(codes=stack.frames, sensor=sensor_from_dict(fields | frames.camera)).described
+        drawn = DarkFrames(codes=stack.frames, sensor=sensor_from_dict(fields | frames.camera))
+        camera = drawn.described
+        left = drawn.noise / (len(stack.frames) - 1) / camera.gain**2  # of their noise, in their average; e-**2
+        camera = replace(camera, sigma_d=(camera.sigma_d**2 + left) ** 0.5, dsnu=max(camera.dsnu**2 - left, 0.0) ** 0.5)
         return sensor_from_dict(asdict(camera) | frames.camera)
 
 

@@ -79,6 +79,15 @@ def test_frames_that_were_held_out_are_compared_with_the_rest_of_their_own_stack
     assert drawn == pytest.approx(held, rel=0.01)
 
 
+def test_few_dark_frames_alone_show_the_noise_of_all_frames_and_no_pattern_of_their_own(tmp_path: Path) -> None:
+    """Over n frames the squared deviations sum up to n - 1 variances, and 1 / n of it is left in their average."""
+    dn = BLACK + GAIN * 3.0 * np.random.default_rng(5).normal(size=(5, 100, 100))
+    write(tmp_path, {"dark/0": np.rint(dn).astype(np.uint16)}, f"bits = 14\n[camera]\ngain = {GAIN}")
+    (setting,) = characterise_folder(tmp_path).settings.values()
+    assert setting.sensor.sigma_d == pytest.approx(3.0, rel=0.02)
+    assert setting.sensor.dsnu < 0.3
+
+
 def test_a_pattern_far_above_the_noise_is_kept_with_all_that_is_usual_for_it() -> None:
     """By the noise alone, a hundredth of the pattern, three quarters of the pixels would count as far off."""
     seen = np.random.default_rng(4).normal(size=4000)
