@@ -67,6 +67,12 @@ class Characterisation:
         known = {name: value for name, value in asdict(self).items() if value is not None}
         return "\n".join(f"{name:>16} {value:.5g} {UNITS.get(name, '')}".rstrip() for name, value in known.items())
 
+    def at_gain(self, gain: float) -> Characterisation:
+        """The same frames by a gain that is known better: codes are measured, so that electrons follow it. DN/e-."""
+        known = {name: getattr(self, name) for name, unit in UNITS.items() if unit[:2] == "e-"} | {"eta": self.eta}
+        scaled = {name: value * self.gain / gain for name, value in known.items() if value is not None}
+        return replace(self, gain=gain, **scaled)
+
     def sensor(self, *, bits: int, **assumed: object) -> Sensor:
         """A camera with these parameters; `assumed` adds parameters that frames cannot show, and overrides measured
         ones.

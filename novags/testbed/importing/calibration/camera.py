@@ -162,9 +162,11 @@ def _measured(frames: Frames, folder: Path, notes: Path) -> tuple[Sensor, Charac
             raise ValueError(
                 f"{folder} does not determine {name}: {why}, or {name} under [camera] in frames.toml{alone}"
             )
-    known = {name: frames.camera.get(name, getattr(found, name)) for name in ("eta", "mu_e_sat")}
+    gain = frames.camera.get("gain")
     with reading(notes / "frames.toml", "correct it"):
-        measured = asdict(found.sensor(bits=frames.bits, **known))
+        told = found.at_gain(gain) if isinstance(gain, (int, float)) and gain > 0 else found
+        known = {name: frames.camera.get(name, getattr(told, name)) for name in ("eta", "mu_e_sat")}
+        measured = asdict(told.sensor(bits=frames.bits, **known))
         return sensor_from_dict(measured | {"cfa": frames.cfa} | of_colour | frames.camera), found
 
 

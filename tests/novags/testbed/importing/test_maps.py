@@ -88,6 +88,16 @@ def test_few_dark_frames_alone_show_the_noise_of_all_frames_and_no_pattern_of_th
     assert setting.sensor.dsnu < 0.3
 
 
+def test_noise_is_measured_in_codes_so_that_electrons_follow_a_gain_that_is_given(laboratory: Path) -> None:
+    (setting,) = characterise_folder(laboratory).settings.values()
+    found, sensor = setting.found, setting.sensor
+    assert found is not None
+    assert sensor.gain == GAIN != found.gain
+    for name in ("sigma_d", "sigma_row", "sigma_column", "dsnu", "dark_current"):
+        assert GAIN * getattr(sensor, name) == pytest.approx(found.gain * getattr(found, name), rel=1e-6), name
+    assert sensor.mu_e_sat == WELL  # as given
+
+
 def test_a_pattern_far_above_the_noise_is_kept_with_all_that_is_usual_for_it() -> None:
     """By the noise alone, a hundredth of the pattern, three quarters of the pixels would count as far off."""
     seen = np.random.default_rng(4).normal(size=4000)
