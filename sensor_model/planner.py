@@ -70,7 +70,8 @@ def plan_effects(sensor: Sensor, exposure: Exposure, signal_e: ArrayLike, tolera
     signal = np.asarray(signal_e, np.float64).ravel()
     ok = signal.size > 0 and bool(np.isfinite(signal).all()) and signal.min() >= 0
     require(ok, "signal_e", "finite, >= 0 and not empty", signal_e)
-    low, high = float(signal.min()), float(signal.max())
+    dimmest, brightest = _illumination(sensor)
+    low, high = dimmest * float(signal.min()), brightest * float(signal.max())
 
     dark = kept_variance(sensor, low)
     bias = limits.sd * sensor.gain * sqrt(dark) if limits.bias_dn is None else limits.bias_dn
@@ -109,10 +110,16 @@ def kept_variance(sensor: Sensor, signal_e: float) -> float:
     return signal_e + sensor.sigma_d**2 + 1 / (12 * sensor.gain**2)
 
 
+def _illumination(s: Sensor) -> tuple[float, float]:
+    """The least and the most that the lens makes of even light in any pixel, as factors; 1 lies between them."""
+    o = s.optics
+    table = () if o is None else o.falloff or (cos(radians(o.corner_angle)) ** 4,)
+    return min((1.0, *table)), max((1.0, *table))
+
+
 def _most_charge(s: Sensor, exposure: Exposure, high: float, limits: Limits) -> float:
     """Mean charge of the fullest pixel: the brightest light on the most sensitive pixel, plus dark charge. e-."""
-    peak = max(1.0, *s.optics.falloff) if s.optics and s.optics.falloff else 1.0
-    charge = peak * high * (1 + CLEAR * s.prnu) + s.dark_e(exposure) + _hot_e(s, exposure, limits)
+    charge = high * (1 + CLEAR * s.prnu) + s.dark_e(exposure) + _hot_e(s, exposure, limits)
     return charge + own.reach(s, exposure, min(charge, s.capacity_e), CLEAR)
 
 
@@ -164,8 +171,9 @@ def _costs(s: Sensor, exposure: Exposure, low: float, high: float, limits: Limit
     hot = _hot_e(s, exposure, limits)
     costs["hot_pixels"] = ({SD: hot / dark, BIAS: s.gain * hot}, "in a hot pixel")
     costs["telegraph_noise"] = ({SD: _telegraph_variance(s, limits) / dark}, "in a pixel with telegraph noise")
-    corner = 0.0 if o is None else 1 - (min(o.falloff) if o.falloff else cos(radians(o.corner_angle)) ** 4)
-    costs["vignetting"] = ({SD: corner / 2, SIGNAL: corner}, "in the corners")
+    dimmest, brightest = _illumination(s)
+    uneven = max(1 - dimmest, brightest - 1)
+    costs["vignetting"] = ({SD: uneven / 2, SIGNAL: uneven}, "in the corners")
     kept = o.psf[len(o.psf) // 2][len(o.psf[0]) // 2] if o and o.psf else 1.0
     spill = (4 * o.crosstalk + (1 - kept)) * (high - low) if o else 0.0
     # of the light alone; bias of the brightest edge against its own noise: 4 c dS <= sqrt(2 eps V) in the first budget

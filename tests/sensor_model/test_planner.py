@@ -34,6 +34,8 @@ EVERYTHING = Sensor(
     defects=Defects(hot_fraction=1e-4, hot_factor=30, rts_fraction=1e-3, rts_factor=1.1, rts_traps=2), coupling=2e-4,
 )  # fmt: skip
 
+DIM = math.cos(math.radians(5)) ** 4  # of even light, in its corners
+
 LOUD = Sensor(
     gain=2.0, eta=0.6, mu_e_sat=2000.0, black_level=200.0, bits=14, sigma_d=4.0, tukey_lambda=-0.1, cfa=None, serial=3,
     sigma_row=5.0, sigma_column=5.0, dsnu=5.0, prnu=0.05, dark_current=200.0, nonlinearity=0.1, rgb_bias=(5.0,) * 3,
@@ -169,14 +171,35 @@ def test_the_most_sensitive_hot_pixel_says_what_the_droop_costs():
     assert found.contribution == pytest.approx(want[found.unit])
 
 
+@pytest.mark.parametrize("falloff", [(1.0, 1.3), (2.0, 2.0), (1.0, 0.5, 1.1)])
+def test_a_lens_that_makes_pixels_brighter_is_simulated(falloff):
+    sensor = Sensor(gain=2.0, eta=0.6, mu_e_sat=1e5, black_level=512, bits=16, sigma_d=2.0, cfa=None)
+    plan = plan_effects(replace(sensor, optics=SensorOptics(falloff=falloff)), EXPOSURE, [200.0, 300.0])
+    assert plan["vignetting"].on
+    assert plan["vignetting"].contribution == pytest.approx(max(abs(1 - factor) for factor in falloff))
+    assert plan.bound >= 0
+
+
+@pytest.mark.parametrize("optics", [SensorOptics(falloff=(1.0, 0.5, 0.1)), SensorOptics(corner_angle=55.0)])
+def test_bounds_hold_for_the_light_that_reaches_the_corners(optics):
+    """There the fixed pattern is beside a tenth of the shot noise."""
+    sensor = Sensor(gain=2.0, eta=0.6, mu_e_sat=1e5, black_level=512, bits=16, sigma_d=1.0, cfa=None)
+    corner = plan_effects(replace(sensor, dsnu=0.95), EXPOSURE, [10 * 0.1, 20.0])
+    plan = plan_effects(replace(sensor, dsnu=0.95, optics=optics), EXPOSURE, [10.0, 20.0])
+    assert corner["dsnu"].on
+    assert plan["dsnu"].on
+    assert plan["dsnu"].contribution == pytest.approx(corner["dsnu"].contribution, rel=0.1)
+
+
 def test_banding_adds_half_of_its_amplitudes_square():
-    found = plan_effects(EVERYTHING, EXPOSURE, [50.0, 500.0], Limits(sd=0.05, row_length=7))["banding"]
+    found = plan_effects(EVERYTHING, EXPOSURE, [50.0 / DIM, 500.0], Limits(sd=0.05, row_length=7))["banding"]
     assert found.contribution == pytest.approx(7 * 0.1**2 / 2 / (2 * kept_variance(EVERYTHING, 50.0)))
 
 
 def test_crosstalk_is_counted_to_and_from_four_neighbours():
     s, low, high = EVERYTHING, 50.0, 500.0
-    found, spill = plan_effects(s, EXPOSURE, [low, high], Limits(sd=0.05))["crosstalk"], 4 * 0.001 * (high - low)
+    found = plan_effects(s, EXPOSURE, [low / DIM, high], Limits(sd=0.05))["crosstalk"]
+    spill = 4 * 0.001 * (high - low)
     want = {"relative standard deviation": spill**2 / (2 * kept_variance(s, high)), "DN of bias": s.gain * spill}
     assert found.contribution == pytest.approx(want[found.unit])
 
@@ -342,7 +365,7 @@ def test_what_does_not_grow_with_the_light_costs_most_at_the_darkest_signal():
 def test_a_bias_is_allowed_that_share_of_the_noise_in_codes(gain):
     """Expectation: in codes the noise of a pixel is gain times its electrons, with the steps of the codes in it."""
     sensor = replace(EVERYTHING, gain=gain)
-    found = plan_effects(sensor, EXPOSURE, [20.0, 500.0], Limits(sd=0.05))["black_bias"]
+    found = plan_effects(sensor, EXPOSURE, [20.0 / DIM, 500.0], Limits(sd=0.05))["black_bias"]
     noise = math.sqrt(gain**2 * (20.0 + sensor.sigma_d**2) + 1 / 12)
     assert found.bound == pytest.approx(0.05 * noise)
 
