@@ -79,11 +79,11 @@ def read_camera(path: str | os.PathLike[str]) -> CameraFile:
     with reading(file, "correct it"):
         data = read_toml(file)
         check_shape(data, SERIES, "the camera")
-        data = _preset(data.pop("preset")) | data if "preset" in data else data
+        data = _over(_preset(data.pop("preset")), data) if "preset" in data else data
         tables = {_iso(name): table for name, table in data.pop("iso", {}).items()}
         fits = [GainFit(**{**of, "isos": tuple(of["isos"])}) for of in data.pop("gain_fit", [])]
         fit = next((of for of in fits if iso is not None and of.isos[0] <= iso <= of.isos[-1]), None)
-        data = data | _at(iso, tables, fit)
+        data = _over(data, _at(iso, tables, fit))
         maps = data.pop("maps", None)
         sensor = sensor_from_dict(data)
         own.check(sensor)
@@ -127,6 +127,12 @@ def _between(low: Any, high: Any, share: float) -> Any:
     if low != high and all(map(_is_number, ends)) and inf not in ends:
         return low + share * (high - low)
     return low if share < 0.5 else high
+
+
+def _over(fields: Mapping[str, Any], others: Mapping[str, Any]) -> dict[str, Any]:
+    """The fields with others in their place, in tables too: what a table does not name stays."""
+    both = {key for key, value in fields.items() if isinstance(value, dict) and isinstance(others.get(key), dict)}
+    return {**fields, **others, **{key: _over(fields[key], others[key]) for key in both}}
 
 
 def _preset(name: Any) -> dict[str, Any]:

@@ -215,6 +215,17 @@ def test_a_wrong_entry_is_named(change: tuple, message: str, tmp_path: Path) -> 
     assert re.search("mine.toml", str(error.value))
 
 
+def test_a_table_says_what_differs_from_the_preset_and_an_iso_from_both(tmp_path: Path) -> None:
+    """Telegraph pixels of the preset stay beside hot ones of the file, at the ISO that has more of them too."""
+    path, preset = tmp_path / "mine.toml", PRESETS["prime-95b"]
+    tables = {"defects": "hot_fraction = 0.001\nhot_factor = 50.0", "iso.100": "gain = 2.0",
+              "iso.200.defects": "hot_factor = 80.0"}  # fmt: skip
+    path.write_text('preset = "prime-95b"\n' + "\n".join(f"[{name}]\n{text}" for name, text in tables.items()))
+    for iso, factor, gain in ((100, 50.0, 2.0), (200, 80.0, preset.gain)):
+        defects = replace(preset.defects, hot_fraction=0.001, hot_factor=factor)
+        assert read_sensor(f"{path}@{iso}") == replace(preset, gain=gain, defects=defects)
+
+
 def test_an_at_sign_elsewhere_is_part_of_a_name() -> None:
     assert split_iso("a@b/mine.toml") == ("a@b/mine.toml", None)
     assert split_iso("mine.toml@fast") == ("mine.toml@fast", None)
