@@ -141,7 +141,8 @@ def expose(
     if backend == "numpy" or s.optics:  # otherwise the kernel tests the light while it reads it
         check_light(photons, "photons")
     if plan is not None:
-        shot = "none" if not plan.is_on("photon_shot") else shot if plan.is_on("poisson") else "normal"
+        left_out = shot == "none" or not plan.is_on("photon_shot")
+        shot = "none" if left_out else shot if plan.is_on("poisson") else "normal"
     draws = streams.Draws(seed=seed, view=view, frame=frame, origin=exposure.origin)
     inputs = prepare(photons, s, exposure, draws, measured=measured)
     if backend == "numpy":

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sensor_model import PRESETS, Banding, Exposure, Sensor, expose, mosaic
+from sensor_model import PRESETS, Banding, Exposure, Sensor, expose, mosaic, plan_effects
 from sensor_model.capture import expose_burst, mean_of
 
 EXPOSURE = Exposure(time=0.02)
@@ -189,6 +189,16 @@ def test_every_frame_of_a_burst_is_in_its_mean_and_a_pixel_that_any_of_them_cut_
     assert np.array_equal(mean.dn, np.rint(np.mean([frame.dn for frame in burst], axis=0)))
     alone = mean_of(burst[:1])
     assert alone is burst[0]
+
+
+def test_no_shot_noise_is_none_whatever_the_plan_takes_for_it():
+    """Of so much light the plan takes normal shot noise."""
+    sensor, light = PRESETS["a7s2-iso100-3chip"], np.full((50, 50, 3), 5000.0)
+    plan = plan_effects(sensor, Exposure(time=0.01), [3000.0])
+    assert not plan.is_on("poisson")
+    frame = expose(light, sensor, Exposure(time=0.01), seed=0, view=0, plan=plan, shot="none")
+    assert frame.dn.var() == pytest.approx(sensor.gain**2 * (sensor.sigma_d**2 + sensor.sigma_row**2) + 1 / 12, rel=0.1)
+    assert frame.shot == "none"
 
 
 @pytest.mark.parametrize("times", [4.0, 0.25])
