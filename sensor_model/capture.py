@@ -14,8 +14,8 @@ from sensor_model import effects
 from sensor_model.frame import own, streams
 from sensor_model.frame.measured import Measured
 from sensor_model.frame.prepare import Prepared, as_channels, checked, on_sensor, prepare
-from sensor_model.moments import frame_moments
-from sensor_model.params import ROUNDING, Exposure, Sensor, require
+from sensor_model.moments import burst_moments, frame_moments
+from sensor_model.params import Exposure, Sensor, require
 from sensor_model.plan import Plan
 from sensor_model.planner import simplify
 from sensor_model.radiometry import check_light
@@ -46,7 +46,7 @@ class RawFrame:
         inputs = prepare(self.photons, self.sensor, self.exposure, draws, noise=False, measured=self.measured)
         mean, variance = frame_moments(inputs, self.shot)
         if self.frames > 1:
-            variance = variance / self.frames + ROUNDING
+            mean, variance = burst_moments(mean, variance, self.frames)
         shape = self.photons.shape
         return mean.reshape(shape).astype(np.float32), variance.reshape(shape).astype(np.float32)
 

@@ -18,7 +18,7 @@ from sensor_model import effects
 from sensor_model.frame import own, pattern
 from sensor_model.frame.interpixel import held_moments
 from sensor_model.frame.prepare import Prepared
-from sensor_model.params import Sensor
+from sensor_model.params import ROUNDING, Sensor
 
 Array = NDArray[np.float64]
 
@@ -222,6 +222,29 @@ def code_moments(level: Array, sd: Array, top: Array | float) -> tuple[Array, Ar
     if loud.any():
         mean[loud], variance[loud] = _censored(level[loud], sd[loud], top[loud])
     return mean, variance
+
+
+def burst_moments(mean: Array, variance: Array, frames: int) -> tuple[Array, Array]:
+    """Mean and variance of the rounded mean of so many codes of this mean and variance. DN, DN**2.
+
+    That mean is a multiple of 1 / frames, and halves, which an even number of frames has, are rounded to even codes.
+    With the noise of a code 1/12 is added; with less, the few codes that matter are summed, as of a normal distribution
+    that was rounded to such multiples.
+    """
+    halves = frames % 2 == 0
+    rounded = variance / frames + ROUNDING
+    sd = np.sqrt(np.maximum(variance / frames - 1 / (12 * frames**2), 1e-12))
+    mean, quiet = mean.copy(), np.flatnonzero(sd < SMOOTH)
+    for part in np.array_split(quiet, -(-quiet.size // LONGEST)) if quiet.size else ():
+        near = np.rint(mean.flat[part])[:, None]
+        codes = near + np.arange(-7, 8)  # as for `_summed`
+        first = codes - 0.5 + ((codes % 2 - 0.5) / frames if halves else 0.0)  # what is above becomes this code
+        above = scipy.special.ndtr((mean.flat[part][:, None] - first) / sd.flat[part][:, None])
+        probability = above - np.append(above[:, 1:], np.zeros_like(near), 1)
+        shift = (probability * (codes - near)).sum(1)
+        mean.flat[part] = near[:, 0] + shift
+        rounded.flat[part] = (probability * (codes - near) ** 2).sum(1) - shift**2
+    return mean, rounded
 
 
 def _summed(level: Array, sd: Array, top: Array) -> tuple[Array, Array]:

@@ -191,6 +191,25 @@ def test_every_frame_of_a_burst_is_in_its_mean_and_a_pixel_that_any_of_them_cut_
     assert alone is burst[0]
 
 
+@pytest.mark.parametrize("frames", [3, 4, 16])
+def test_the_moments_of_a_burst_are_those_of_its_rounded_mean(frames):
+    """Where its noise is a third of a code, rounding moves the mean and takes variance away, not adds 1/12."""
+    sensor = replace(PRESETS["a7s2-iso100-3chip"], cfa=None, sigma_row=0.0, sigma_d=3.0 * frames**0.5)
+
+    def taken(electrons, shape):
+        light = np.full(shape, electrons / sensor.eta)
+        return mean_of(expose_burst(light, sensor, Exposure(time=0.01), frames=frames, seed=0, view=0))
+
+    for electrons in (20.0, 22.0, 24.0):
+        burst = taken(electrons, (200, 100))
+        assert burst.dn.mean() == pytest.approx(burst.mean_dn.mean(), abs=0.01)
+        assert burst.dn.var() == pytest.approx(burst.variance_dn.mean(), rel=0.1)
+    full = taken(1e6, (8, 8))
+    assert (full.dn == sensor.max_dn).all()
+    assert (full.mean_dn == sensor.max_dn).all()
+    assert full.variance_dn.max() < 1e-6
+
+
 def test_no_shot_noise_is_none_whatever_the_plan_takes_for_it():
     """Of so much light the plan takes normal shot noise."""
     sensor, light = PRESETS["a7s2-iso100-3chip"], np.full((50, 50, 3), 5000.0)
