@@ -219,6 +219,7 @@ def read_maps(path: Path, size: tuple[int, int]) -> Measured:
     with reading(path, "measure the camera again"), opened(path) as file:
         with np.load(file, allow_pickle=False) as found:
             maps = [np.asarray(found[name], np.float32) for name in ("offset", "response")]
+            time = float(found["time"]) if "time" in found else None
         for array in maps:
             fits = array.ndim == 2 and array.shape == maps[0].shape and bool(np.isfinite(array).all())
             require(fits, "maps", "finite and [h, w], both alike", array.shape)
@@ -226,7 +227,7 @@ def read_maps(path: Path, size: tuple[int, int]) -> Measured:
             require(reaches, "maps", f"of {size[0]} rows and {size[1]} columns or more", array.shape,
                     "measure the camera with a larger --window, or take smaller pictures")  # fmt: skip
         offset, response = (middle(array, size) for array in maps)
-        return Measured(offset=offset, response=response)
+        return Measured(offset=offset, response=response, time=time)
 
 
 def write_maps(path: Path, maps: Measured, *, overwrite: bool = True) -> None:
@@ -234,7 +235,8 @@ def write_maps(path: Path, maps: Measured, *, overwrite: bool = True) -> None:
     assert maps.offset is not None
     assert maps.response is not None
     content = io.BytesIO()
-    np.savez_compressed(content, offset=maps.offset, response=maps.response)
+    time: dict[str, Any] = {} if maps.time is None else {"time": maps.time}
+    np.savez_compressed(content, offset=maps.offset, response=maps.response, **time)
     _write(path, content.getvalue(), overwrite)
 
 

@@ -153,6 +153,7 @@ class Measured:
     offset: NDArray[np.float32] | None = None  # of each pixel in the dark [h, w], e-: in place of `Sensor.dsnu`
     response: NDArray[np.float32] | None = None  # of each pixel, 1 on average [h, w]: in place of `Sensor.prnu`
     dark: DarkFrames | None = None
+    time: float | None = None  # s, that the offset was exposed for; None: not known
 
     def said(self, plan: Plan) -> Plan:
         """The plan, with what these take the place of: it is never left out."""

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 
+from novags.testbed.console.terminal import Console
 from novags.testbed.folders.photographs.raw_files import is_raw, read_exposure
 from simscenes.sets.pictures.exr_meaning import refuse_foreign
 from simscenes.sets.pictures.image_file import header
@@ -64,6 +65,13 @@ def check_iso(files: Sequence[Path], rule: str, iso: float | None = None, of: st
         if abs(stated - min(iso, LARGEST_ISO)) > ALIKE * iso:
             raise ValueError(f"{file} states the ISO speed {stated:g}, {of} {iso:g}: {rule}")
     return iso
+
+
+def say_time(what: str, taken: float, time: float, console: Console) -> None:
+    """A note where something of the dark was exposed for another time, in seconds, than the capture is for."""
+    if abs(taken - time) > ALIKE * taken:
+        console.note(f"{what} exposed for {taken:g} s, and the capture is for {time:g} s: dark current and hot pixels "
+                     "are those of the frames")  # fmt: skip
 
 
 def exposure_doubts(files: Sequence[Path]) -> list[str]:

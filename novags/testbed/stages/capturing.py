@@ -14,7 +14,7 @@ from novags.testbed.folders import capture as capture_folder
 from novags.testbed.folders.capture import has_view, write_view
 from novags.testbed.folders.place import keep_place, recorded_place
 from novags.testbed.folders.set import Source, open_source
-from novags.testbed.importing.exposures import exposure_doubts
+from novags.testbed.importing.exposures import exposure_doubts, say_time
 from novags.testbed.ledger.stage import run_stage
 from novags.testbed.stages.configs.capturing import CaptureConfig, camera_file
 from novags.testbed.stages.layouts import LAYOUTS, check_source_of, truth_of, write_layouts
@@ -165,6 +165,8 @@ def measured_of(source: Source, config: CaptureConfig, console: Console) -> Meas
     size, file = (source.rig.height, source.rig.width), camera_file(config.sensor)
     found = Measured() if file.maps is None else read_maps(file.maps, size)
     if config.dark_frames is None:
+        if found.time is not None:
+            say_time(f"maps: the dark frames behind {file.maps} were", found.time, config.time, console)
         return found
     return replace(found, dark=config.dark_folder(file).read(camera_for(source, config), size, config.time, console))
 

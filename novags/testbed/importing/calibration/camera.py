@@ -230,7 +230,10 @@ def statistics(frames: np.ndarray) -> tuple[float, float, float, float]:
 
 
 def _maps(frames: Frames, sensor: Sensor, folder: Path) -> Measured:
-    """Offset and response of every pixel, from the largest dark stack and the largest flat one below saturation."""
+    """Offset and response of every pixel, from the largest dark stack and the largest flat one below saturation.
+
+    The dark stack nearest to the time of the flat one is taken off that: hot pixels have their own charge in both.
+    """
     dark = max(frames.dark, key=lambda stack: len(stack.frames))
     below = [
         s for s in frames.flat if float(average(s).mean()) - sensor.black_level < 0.7 * sensor.capacity_e * sensor.gain
@@ -248,23 +251,32 @@ def _maps(frames: Frames, sensor: Sensor, folder: Path) -> Measured:
         shade = replace(dark, frames=dark.frames[(slice(None), *cell)])
         left = temporal_variance(shade) / len(shade.frames)
         base = average(shade)
-        offset[cell] = _pattern(base - base.mean(), left) / sensor.gain
+        offset[cell] = _pattern(base - base[_usual(base - np.median(base), left)].mean(), left) / sensor.gain
         if flat is not None:
             lit = replace(flat, frames=flat.frames[(slice(None), *cell)])
-            signal = average(lit) - base
+            near = min(frames.dark, key=lambda stack: (abs(stack.time - flat.time), -len(stack.frames)))
+            shade = replace(near, frames=near.frames[(slice(None), *cell)])
+            left = temporal_variance(shade) / len(shade.frames)
+            signal = average(lit) - average(shade)
             smooth = parabola(signal.shape)
             even = (smooth @ np.linalg.lstsq(smooth, signal.ravel(), rcond=None)[0]).reshape(signal.shape)
             left += temporal_variance(lit) / len(lit.frames)
             response[cell] = np.maximum(1 + _pattern(signal / even - 1, left / float(even.mean()) ** 2), 0)
-    return Measured(offset=offset.astype(np.float32), response=response.astype(np.float32))
+    return Measured(offset=offset.astype(np.float32), response=response.astype(np.float32), time=dark.time)
 
 
 def _pattern(seen: np.ndarray, noise: float) -> np.ndarray:
     """A pattern of which so much variance is noise, with its own variance; pixels far off stay as they are."""
-    usual = np.abs(seen) <= HOT * max(1.4826 * float(np.median(np.abs(seen))), noise**0.5)
+    usual = _usual(seen, noise)
     whole = float(np.square(seen[usual]).mean())
     share = max(whole - noise, 0.0) / whole if whole else 0.0
     return np.where(usual, share**0.5 * seen, seen)
+
+
+def _usual(seen: np.ndarray, noise: float) -> np.ndarray:
+    """Pixels that are not far off, where so much variance is noise."""
+    away = np.abs(seen)
+    return np.asarray(away <= HOT * max(1.4826 * float(np.median(away)), noise**0.5))
 
 
 def _profile(folder: Path) -> float | None:

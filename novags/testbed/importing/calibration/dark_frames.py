@@ -13,15 +13,13 @@ import numpy as np
 from novags.testbed.console.terminal import Console
 from novags.testbed.importing.calibration.codes import first_copy
 from novags.testbed.importing.calibration.frames import CalibrationFrame, agreed, cut, iso_folders, listed, read_frame
-from novags.testbed.importing.exposures import OF_FRAMES, check_iso
+from novags.testbed.importing.exposures import OF_FRAMES, check_iso, say_time
 from novags.testbed.ledger.contents import folder_digest
 from sensor_model.files.camera_file import CameraFile
 from sensor_model.files.door import enter
 from sensor_model.files.reading import reading, some
 from sensor_model.frame.measured import DarkFrames
 from sensor_model.params import CFAS, Sensor, require
-
-ALIKE = 0.02  # relative, of exposure times
 
 
 @dataclass(frozen=True)
@@ -47,9 +45,7 @@ class DarkFolder:
         """
         found = [_middle(path, sensor, size) for path in self.files]
         taken = agreed("exposure time", None, [frame.time for frame in found], self.place, np.nan)
-        if abs(taken - time) > ALIKE * taken:
-            console.note(f"dark frames: {self.place} was exposed for {taken:g} s, and the capture is for {time:g} s: "
-                         "dark current and hot pixels are those of the frames")  # fmt: skip
+        say_time(f"dark frames: {self.place} was", taken, time, console)
         with reading(self.place, "give --dark-frames of this camera"):
             codes = np.concatenate([frame.dn for frame in found])
             if (same := first_copy(codes)) is not None:

@@ -109,6 +109,29 @@ def test_a_pattern_far_above_the_noise_is_kept_with_all_that_is_usual_for_it() -
     np.testing.assert_allclose(halved[1:], 0.5 * seen[1:], rtol=0.05)
 
 
+def test_hot_pixels_of_long_dark_frames_move_no_other_pixel_and_keep_their_response(tmp_path: Path) -> None:
+    """One in a hundred has 2000 e- in the largest dark stack, of 9 s, and little in the flat frames of 1 to 4 s."""
+    rng = np.random.default_rng(6)
+    hot = rng.permutation(SHAPE[0] * SHAPE[1]).reshape(SHAPE) < 13
+
+    def exposed(electrons: float, n: int, time: float) -> np.ndarray:
+        e = rng.poisson(electrons + 222.0 * time * hot, (n, *SHAPE)) + 2 * rng.normal(size=(n, *SHAPE))
+        return np.rint(BLACK + GAIN * e).astype(np.uint16)
+
+    stacks = {"dark/0": exposed(0.0, 12, 1.0), "dark/8": exposed(0.0, 24, 9.0)}
+    stacks |= {f"flat/{k}": exposed((k + 1) * 0.15 * WELL, 16, k + 1.0) for k in range(4)}
+    write(tmp_path, stacks, f"bits = 14\n[camera]\neta = 0.5\ngain = {GAIN}\nmu_e_sat = {WELL}")
+    (setting,) = characterise_folder(tmp_path, maps=True).settings.values()
+    maps = setting.maps
+    assert maps is not None
+    assert maps.offset is not None
+    assert maps.response is not None
+    assert maps.time == 9.0
+    assert maps.offset[~hot].mean() == pytest.approx(0.0, abs=0.1)  # e-
+    assert maps.offset[hot].mean() == pytest.approx(2000, rel=0.02)
+    assert maps.response[hot].min() > 0.5  # it was 0
+
+
 def test_flat_frames_near_saturation_make_no_map_though_there_are_more_of_them(tmp_path: Path) -> None:
     """0.8 of the well at a gain of 4: by 0.7 of the well in codes they are too bright."""
     bright = np.rint(BLACK + GAIN * np.random.default_rng(5).poisson(0.8 * WELL, (20, *SHAPE))).astype(np.uint16)

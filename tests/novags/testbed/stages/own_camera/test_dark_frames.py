@@ -125,6 +125,19 @@ def test_maps_of_a_camera_are_its_pattern_and_part_of_the_key(photographs: Path,
     assert again["stage"]["key"] != first["stage"]["key"]
 
 
+@pytest.mark.parametrize(("time", "said"), [(None, False), (1 / 30, False), (2.0, True)])
+def test_maps_of_another_time_than_the_capture_are_told(
+    time: float | None, said: bool, photographs: Path, tmp_path: Path, capsys
+) -> None:
+    maps = Measured(offset=np.zeros(SHAPE, "f4"), response=np.ones(SHAPE, "f4"), time=time)
+    write_maps(tmp_path / "mine.npz", maps)
+    write_sensor(tmp_path / "mine.toml", CAMERA, maps="mine.npz")
+    config = CaptureConfig(sensor=str(tmp_path / "mine.toml"), electrons=5.0)
+    stages.capture(photographs, tmp_path / "cap", config, Console())
+    note = "mine.npz were exposed for 2 s, and the capture is for 0.0333333 s: dark current and hot pixels are those"
+    assert (note in capsys.readouterr().err) == said
+
+
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
