@@ -40,6 +40,7 @@ class Simulated:
         seed: As asked for.
         noise_seed: Of the noise itself.
         plan: As `Plan.to_dict`; None: every effect is simulated.
+        measured: Whether maps or dark frames took the place of drawn numbers: it keeps their hashes alone.
     """
 
     set_path: str
@@ -53,6 +54,7 @@ class Simulated:
     seed: int
     noise_seed: int
     plan: dict[str, Any] | None
+    measured: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -198,6 +200,7 @@ def _simulated(found: dict[str, Any]) -> Simulated:
         background=made_of.get("background"), electrons=found["electrons"], mean_green=found.get("mean_green_radiance"),
         signal_quantiles_e=found["signal_quantiles_e"], jpeg_quality=found.get("jpeg_quality"), seed=seed,
         noise_seed=found.get("noise_seed", seed), plan=found["plan"],
+        measured="maps" in found or "dark_frames" in found,
     )  # fmt: skip
 
 

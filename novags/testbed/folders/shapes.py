@@ -19,7 +19,7 @@ CAPTURE = {
     "burst?": int, "uneven?": {"exposures": [float], "balances": [Numbers(3)]},
     "seed?": int, "noise_seed?": int, "mean_green_radiance?": float,
     "color_matrix": (Numbers(3, 3), None), "jpeg_quality?": (int, None), "views": int, "width": int, "height": int,
-    "plan": (PLAN, None), "stage": {**STAGE, "inputs": {"set": str}},
+    "maps?": str, "dark_frames?": str, "plan": (PLAN, None), "stage": {**STAGE, "inputs": {"set": str}},
 }  # fmt: skip
 IMPORT = {  # a capture.json of kind "imported"
     "kind": str, "scene": str, "files": {"*": str}, "depth": str, "parts": [str], "jpeg": bool,

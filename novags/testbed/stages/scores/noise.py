@@ -35,11 +35,13 @@ def noise_scores(run: Run, capture: Capture, lit: Source) -> dict[str, float | N
         `known`: root mean square of the noise in the enhanced pictures, sRGB code. `targets`, `renders`: the share of
         it that is left in the targets of the fit, and in its renderings of the same views (None if there are none).
         `bias_floor`: PSNR in dB of the mean of infinitely many exposures, each enhanced, against the noise-free one,
-        which a fit that averages cannot exceed; None for imported photographs, which cannot be taken again. Behind a
-        colour filter array the errors of interpolation are not noise, but part of the bias.
+        which a fit that averages cannot exceed; None where they cannot be taken again: of imported photographs, and of
+        a camera by maps or dark frames, which a capture does not keep. Behind a colour filter array the errors of
+        interpolation are not noise, but part of the bias.
     """
     if run.enhancement is None or not (run.path / "enhanced").is_dir() or not capture.holds("truth"):
         return None
+    told = capture.record.simulated
     squares, targets, renders = [], [], []
     for i in capture.cameras.train_indices:
         name = capture.names[i]
@@ -56,7 +58,7 @@ def noise_scores(run: Run, capture: Capture, lit: Source) -> dict[str, float | N
         "known": float(np.sqrt(np.mean(squares))) if squares else None,
         "targets": _mean(targets),
         "renders": _mean(renders),
-        "bias_floor": None if capture.imported else _floor_of(capture, lit, run.enhancement),
+        "bias_floor": None if told is None or told.measured else _floor_of(capture, lit, run.enhancement),
     }
 
 

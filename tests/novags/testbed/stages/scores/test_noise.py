@@ -21,6 +21,8 @@ from novags.testbed.metrics.noise import centred_noise
 from novags.testbed.stages.configs.capturing import CaptureConfig
 from novags.testbed.stages.scores import noise as module
 from novags.testbed.stages.scores.noise import bias_floor, exposed_again, noise_scores
+from sensor_model import PRESETS, Measured, write_sensor
+from sensor_model.files.camera_file import write_maps
 from sensor_model.planner import Plan
 from simscenes import orbit_rig
 from simscenes.sets.multiview import write_cameras
@@ -128,6 +130,20 @@ def test_the_runs_of_a_capture_share_its_bias_floor_unless_they_enhance_otherwis
     run.enhancement = enhancement_record(EnhanceConfig(window=7), "8bit")
     assert noise_scores(run, capture, lit)["bias_floor"] == 32.0
     assert asked == [ENHANCEMENT, run.enhancement]
+
+
+def test_a_camera_by_its_maps_is_not_taken_for_one_of_drawn_numbers(tmp_path, monkeypatch):
+    """Its hot rows are in every picture, and an exposure that is taken again has none of them."""
+    camera, offset = replace(PRESETS["a7s2-iso6400-3chip"], dsnu=1.0), np.zeros((30, 34), np.float32)
+    offset[10:14] = 30.0
+    write_maps(tmp_path / "mine.npz", Measured(offset=offset, response=np.ones((30, 34), np.float32)))
+    write_sensor(tmp_path / "mine.toml", camera, maps="mine.npz")
+    capture, lit = taken(tmp_path, sensor=str(tmp_path / "mine.toml"), electrons=20, seed=3)
+    monkeypatch.setattr(module, "_FLOORS", Memo())
+    run, _ = a_run(tmp_path / "run", capture, rendered=0.4, denoised=None)
+    found = noise_scores(run, capture, lit)
+    assert found["bias_floor"] is None
+    assert found["known"] > 0
 
 
 @pytest.mark.parametrize(("denoised", "targets"), [(None, 1.0), (0.25, 0.25)])
