@@ -233,7 +233,7 @@ def burst_moments(mean: Array, variance: Array, frames: int) -> tuple[Array, Arr
     """
     halves = frames % 2 == 0
     rounded = variance / frames + ROUNDING
-    sd = np.sqrt(np.maximum(variance / frames - 1 / (12 * frames**2), 1e-12))
+    sd = np.sqrt(np.maximum(variance / frames - 1 / (12 * frames**2), 1e-12))  # 0 of no noise: 0 / 0
     mean, quiet = mean.copy(), np.flatnonzero(sd < SMOOTH)
     for part in np.array_split(quiet, -(-quiet.size // LONGEST)) if quiet.size else ():
         near = np.rint(mean.flat[part])[:, None]
