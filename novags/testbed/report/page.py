@@ -3,6 +3,7 @@
 import os
 import re
 from collections.abc import Mapping, Sequence
+from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -171,6 +172,12 @@ def build(material: Material, console: Console, identity: str = "") -> Path:
 
 def filled(template: str, context: Mapping[str, Any]) -> str:
     """A page from its template."""
+    return str(_templates().get_template(template).render(context))
+
+
+@cache
+def _templates() -> Any:
+    """All templates; each is compiled once for the many pages of a site."""
     import jinja2
 
     loader = jinja2.PackageLoader("novags.testbed.report", "templates")
@@ -178,7 +185,7 @@ def filled(template: str, context: Mapping[str, Any]) -> str:
                                    lstrip_blocks=True)  # fmt: skip
     templates.filters.update(number=number, size=size, json=_embedded, contents=_contents)
     templates.globals.update(asset=_asset)
-    return templates.get_template(template).render(context)
+    return templates
 
 
 def _asset(name: str) -> Any:

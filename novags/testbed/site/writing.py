@@ -7,7 +7,7 @@ from typing import Any
 
 from novags.methods import METHODS
 from novags.testbed.console.terminal import Console
-from novags.testbed.ledger.contents import digest, read_json, write_json
+from novags.testbed.ledger.contents import read_json, write_json
 from novags.testbed.ledger.difference import flat
 from novags.testbed.report.blocks.ranking import ranking
 from novags.testbed.report.look.album import Album
@@ -115,7 +115,7 @@ def _pages_before(out: Path, overwrite: bool) -> list[str]:
 
 def _study(site: Site, study: SiteStudy, console: Console) -> list[str]:
     """The report of a study, and its tables beside it."""
-    build(study.material, console, digest(["site", str(resolved(study.folder))]))
+    build(study.material, console)
     place = Path(study.page).parent
     made = [study.page]
     for file in study.files:
@@ -158,7 +158,7 @@ def _method(site: Site, name: str) -> str:
     entries = [entry for entry in site.entries if entry.method == name]
     look = site.looks[name]
     row = METHODS.get(look.method)
-    made = [(entry, records) for entry in entries for records in entry.runs[:1]]
+    made = [(entry, records) for entry in entries for records in entry.runs]
     settings, differs = dict[str, Any](), dict[str, list[Any]]()
     for entry, records in made:
         differs.setdefault(entry.study.name, deviations(records.run))
