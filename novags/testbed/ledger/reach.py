@@ -4,7 +4,7 @@ A function or a constant runs where code that runs names it, a method where code
 of a module where that module is imported. So the reached code is found from the sources alone: the names in a
 definition, the module's imports under these names, and definitions named as text, "package.module:NAME", as in tables.
 The rows of a `Registry` are not followed. An object that comes from elsewhere has a class that somebody
-names.
+names. Of a row from outside, modules that are not installed are followed like its own.
 """
 # tests/end_to_end/ledger/test_what_runs.py watches small stages and finds nothing that runs and is not reached.
 
@@ -33,6 +33,7 @@ OUTSIDE = (
     "sensor_model.files.outside",
     "sensor_model.presets",
 )  # fmt: skip
+INSTALLED = ("site-packages", "dist-packages")  # folders of packages of which a version stands for the content
 
 
 @dataclass(frozen=True)
@@ -86,6 +87,7 @@ class _Walk:
     def __init__(self, ours: frozenset[str]) -> None:
         self.found: dict[str, Counted] = {}
         self._ours = ours  # packages
+        self._of_plugins = not ours <= {*PACKAGES}
         self._waiting: list[tuple[str, int]] = []  # definitions to follow
         self._loading: list[str] = []  # modules whose imports are to be followed
 
@@ -148,7 +150,10 @@ class _Walk:
         """Whether a module is one of ours on which results depend; the code that importing it runs is found."""
         if module in self.found:
             return True
-        if module.partition(".")[0] not in self._ours or is_outside(module) or not _is_known(module):
+        package = module.partition(".")[0]
+        if package not in self._ours and not (self._of_plugins and _is_own_work(package)):
+            return False
+        if is_outside(module) or not _is_known(module):
             return False
         self.found[module] = Counted()
         self._loading.append(module)
@@ -203,6 +208,20 @@ def _file(module: str) -> Path | None:
         return found
     place = getattr(sys.modules.get(module), "__file__", None) or _would_load(module)
     return Path(place) if place and place.endswith(".py") and Path(place).is_file() else None
+
+
+@cache
+def _is_own_work(package: str) -> bool:
+    """Whether a package is somebody's own, as a plugin may import it: neither of Python nor installed, so that it may
+    change under one version. Nothing is imported.
+    """
+    if package in sys.stdlib_module_names:
+        return False
+    with suppress(ImportError, ValueError):
+        if (spec := find_spec(package)) is not None:
+            places = [*(spec.submodule_search_locations or ()), *([spec.origin] if spec.has_location else [])]
+            return bool(places) and not any({*INSTALLED} & {*Path(str(place)).parts} for place in places)
+    return False
 
 
 @cache

@@ -244,7 +244,12 @@ FILES = {
     "g": "for k in range(3):\n    print(k)\n",
     "i": "from small_tree.b import one\nfrom small_tree.d import six\n",
     "h": "def star(): ...\n\ndef stripe(): ...\n",
+    "j": "from own_work import kept\nfrom installed_work import other\n\ndef main():\n    return kept() + other()\n",
 }  # fmt: skip
+BESIDE = {  # the package
+    "own_work.py": "def kept():\n    return grown()\n\ndef grown(): ...\n\ndef unused(): ...\n",
+    "site-packages/installed_work.py": "def other(): ...\n",
+}
 
 
 @pytest.fixture
@@ -255,7 +260,10 @@ def tree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., dict[
     (tmp_path / "small_tree").mkdir()
     for name, text in FILES.items():
         (tmp_path / "small_tree" / f"{name}.py").write_text(text)
-    monkeypatch.syspath_prepend(str(tmp_path))
+    for name, text in BESIDE.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(text)
+        monkeypatch.syspath_prepend(str((tmp_path / name).parent))
     reach._module.cache_clear()
 
     def names(*roots: str) -> dict[str, set[str]]:
@@ -308,6 +316,12 @@ def test_modules_of_every_package_of_a_root_are_followed() -> None:
     roots = ["sensor_model.files.records", "small_tree.c"]
     for found in (reached(roots), reached(roots[::-1])):
         assert {"small_tree.c", "small_tree.d"} <= set(found)
+
+
+def test_modules_that_a_row_from_outside_imports_count_unless_they_are_installed(
+    tree: Callable[..., dict[str, set[str]]],
+) -> None:
+    assert tree("j") == {"j": {"main"}, "own_work": {"kept", "grown"}}
 
 
 def test_what_runs_when_any_of_the_imports_is_loaded_counts(tree: Callable[..., dict[str, set[str]]]) -> None:
