@@ -16,7 +16,7 @@ from novags.testbed.folders import capture as captures
 from novags.testbed.folders import shapes
 from novags.testbed.folders.place import place_of
 from novags.testbed.folders.run import RECORD, Run
-from novags.testbed.folders.runs import EXPERIMENT, REPORT, REPORT_FILES, ROWS, TABLE, runs_in
+from novags.testbed.folders.runs import EXPERIMENT, REPORT, REPORT_FILES, ROWS, STUDY, TABLE, runs_in
 from novags.testbed.ledger.contents import UNFINISHED, read_json, write_json
 from novags.testbed.ledger.dry import NOT_DONE, dry_run, planned
 from novags.testbed.ledger.stage import refuse_other
@@ -111,9 +111,12 @@ def _planned(preset: Preset, out: Path, console: Console, overwrite: bool) -> St
     """Every task, each in a folder with a plain name.
 
     Raises:
-        ValueError: If a request would replace finished results in `out`, unless `overwrite`; or as `plan.check`.
+        ValueError: If `out` is of a study of many places; if a request would replace finished results in it, unless
+            `overwrite`; or as `plan.check`.
     """
     cells = tuple(Cell({"method": name}, replace(preset, methods=(name,))) for name in preset.methods)
+    if (out / STUDY).exists():  # which would go on to describe the tables, whatever may be overwritten
+        raise ValueError(f"{out} holds {STUDY}: its tables are of a study of many places; choose another --out")
     if not overwrite:
         _refuse_other(preset, out)
     check(cells[0].preset, console)

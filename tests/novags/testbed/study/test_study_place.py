@@ -15,7 +15,7 @@ from novags.methods.variant import Variant
 from novags.testbed import stages
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders.runs import runs_in
-from novags.testbed.ledger.contents import read_json
+from novags.testbed.ledger.contents import read_json, write_json
 from novags.testbed.report.page import write_report
 from novags.testbed.report.verdict import limits_so_far
 from novags.testbed.study import place, steps
@@ -58,6 +58,20 @@ def test_a_capture_of_a_given_set_is_refused_before_another_set_is_rendered(
     monkeypatch.setattr(steps, "make_set", lambda *_, **__: pytest.fail("rendered"))
     with pytest.raises(ValueError, match=r"is a finished capture of the set .*views, which this request does not name"):
         place.run(preset, tmp_path / "out", QUIET)
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_the_tables_of_a_study_of_many_places_are_not_replaced_by_an_experiment(
+    tmp_path: Path, overwrite: bool
+) -> None:
+    """Rationale: with the methods of the study its table of all scenes became one of a single scene."""
+    done = [{"state": "done", "folder": "../store/run/a", "method": "naive", "scene": name} for name in ("a", "b")]
+    write_json(tmp_path / "results.json", {"axes": {"scene": ["a", "b"], "method": ["naive"]}, "rows": done})
+    write_json(tmp_path / "study.json", {})
+    before = files(tmp_path, ".json")
+    with pytest.raises(ValueError, match=r"holds study\.json: its tables are of a study of many places"):
+        place.run(adapted(EXPERIMENTS["demo"], methods=("naive",)), tmp_path, QUIET, overwrite=overwrite)
+    assert files(tmp_path, ".json") == before
 
 
 def test_every_folder_of_an_experiment_is_asked_whether_it_holds_other_results(
