@@ -42,8 +42,8 @@ def train(
         problem: The problem; its seed and extent override `config.fit`.
         config: All choices.
         progress: Called with (steps done, of how many, losses); all steps of both rounds count.
-        checkpoint: As in `splats.fit`, of the second fit; the first has `<stem>.first.safetensors` beside it, and each
-            round keeps its denoised pictures as `denoise-gs` does.
+        checkpoint: As in `splats.fit`, of the second fit; the first has its own in the folder `checkpoints` beside it,
+            and each round keeps its denoised pictures as `denoise-gs` does.
 
     Returns:
         A reconstruction whose targets are the pictures of the second round. Seconds: "denoise" and "fit" of both rounds
@@ -53,7 +53,7 @@ def train(
         LacksInput: If the noise of the data is not known, or not independent.
         ValueError: If a checkpoint is damaged or belongs to another run.
     """
-    early = checkpoint and checkpoint.with_name(f"{checkpoint.stem}.first.safetensors")
+    early = checkpoint and checkpoint.parent / "checkpoints" / checkpoint.name
     adapting = one_round(config)["denoiser"]
     once = adapting + config.fit.iterations
     alone = dataclasses.replace(config, fit=dataclasses.replace(config.fit, keep_at=()))

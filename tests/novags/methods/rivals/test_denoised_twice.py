@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -18,6 +19,7 @@ from novags.methods.rivals import denoised_twice
 from novags.methods.rivals.denoised_twice import electrons_of, train
 from novags.methods.rivals.rows.denoised_twice import DenoisedTwiceConfig, parts
 from novags.splats import CameraRefinement, FitConfig
+from novags.testbed.folders.run import CHECKPOINTS
 
 CONFIG = DenoisedTwiceConfig(
     denoise=DenoiseConfig(adapt=AdaptConfig(steps=1, batch=1, crop=16), turns=1),
@@ -82,6 +84,14 @@ def test_renders_that_teach_are_seen_by_the_cameras_that_the_first_fit_has_refin
     first, _ = fits
     assert not torch.equal(first.viewmats, inputs.views.viewmats)
     assert torch.equal(torch.cat(rendered), first.viewmats)
+
+
+def test_all_that_an_unfinished_run_keeps_is_removed_with_the_checkpoints_of_a_run(dark: Dark, tmp_path: Path) -> None:
+    """Rationale: files of the first round stayed, and the run of another capture in that folder stopped at them."""
+    train(dark()[0], CONFIG, checkpoint=tmp_path / CHECKPOINTS[0])
+    kept = {path.relative_to(tmp_path).parts[0] for path in tmp_path.rglob("*.safetensors")}
+    assert kept == {"checkpoint.safetensors", "checkpoint.denoiser.safetensors", "checkpoints"}
+    assert kept <= {*CHECKPOINTS}
 
 
 def test_both_rounds_have_parts_of_their_own() -> None:
