@@ -10,8 +10,8 @@ from novags.testbed.console.terminal import Console
 from novags.testbed.ledger.contents import read_json, write_json
 from novags.testbed.ledger.difference import flat
 from novags.testbed.report.blocks.ranking import ranking
-from novags.testbed.report.look.album import Album
-from novags.testbed.report.page import build, filled
+from novags.testbed.report.look.album import OWN, Album, files_of
+from novags.testbed.report.page import BLOCKS, build, filled
 from novags.testbed.report.rows import Row, deviations
 from novags.testbed.report.words import named, size
 from novags.testbed.site.entries import STUDIES_IN, Entry, SiteStudy, looks_of_all, pages_of, studies_of
@@ -114,10 +114,12 @@ def _pages_before(out: Path, overwrite: bool) -> list[str]:
 
 
 def _study(site: Site, study: SiteStudy, console: Console) -> list[str]:
-    """The report of a study, and its tables beside it."""
-    build(study.material, console)
+    """The report of a study with its files, and its tables beside it."""
+    page = build(study.material, console)
     place = Path(study.page).parent
-    made = [study.page]
+    beside = [file for block in BLOCKS for file in block.files(study.material)]
+    beside += [file for file in files_of(page).glob("*") if OWN.fullmatch(file.name)]
+    made = [file.relative_to(site.folder).as_posix() for file in (page, *beside)]
     for file in study.files:
         write_text(site.folder / place / file.name, read_text(file))
         made.append((place / file.name).as_posix())

@@ -3,7 +3,6 @@
 import json
 import os
 import re
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +14,7 @@ from novags.methods import METHODS
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders.capture import open_capture
 from novags.testbed.ledger.contents import jsonable
+from novags.testbed.report.look import album
 from novags.testbed.report.page import write_reports
 from novags.testbed.site.writing import write_site
 from novags.testbed.stages import capture
@@ -47,7 +47,7 @@ def make_captures(folder: Path) -> None:
         capture(place / "set", place / "capture", CaptureConfig(electrons=electrons), QUIET)
 
 
-def make_study(folder: Path, captures: Path, model: Mapping[str, Any], rows: Any) -> Path:
+def make_study(folder: Path, captures: Path, model: dict[str, Any], rows: Any) -> Path:
     """A study whose runs show their grey; a run without one has lost its folder, and one more has failed."""
     keys, table = ("scene", "electrons", "method", "seed"), []
     for number, (*place, score, grey, iterations, memory) in enumerate(rows, 1):
@@ -57,6 +57,7 @@ def make_study(folder: Path, captures: Path, model: Mapping[str, Any], rows: Any
             continue
         run, path = folder / str(number), captures / f"{own['scene']}-{own['electrons']}" / "capture"
         captured = open_capture(path)
+        assert captured.record.simulated is not None
         config = jsonable(METHODS["naive"].config())
         config["fit"]["iterations"] = iterations
         stage = model["stage"] | {"inputs": {"capture": captured.content, "set": captured.record.simulated.set_content}}
@@ -278,16 +279,25 @@ def test_the_tables_of_each_study_lie_there_as_csv_and_latex(site: Path, folders
         assert method in told
 
 
-def test_a_second_site_replaces_the_first_and_nothing_else(folders: list[Path], tmp_path: Path) -> None:
-    out, (_, study, experiment) = tmp_path / "site", folders
-    write_site([experiment], out, QUIET)
-    before = {file.relative_to(out) for file in out.rglob("*") if file.is_file()}
-    (out / "mine.txt").write_text("mine")
-    write_site([study, study], out, QUIET)
-    after = {file.relative_to(out) for file in out.rglob("*") if file.is_file()}
-    assert {file.as_posix() for file in before & after} == {"index.html", "site.json", "methods/naive.html"}
-    assert (out / "studies" / "long-2" / "index.html").is_file()
-    assert (out / "mine.txt").read_text() == "mine"
+def test_a_second_site_replaces_all_files_of_the_first_and_nothing_else(
+    folders: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def files() -> set[str]:
+        return {file.relative_to(out).as_posix() for file in out.rglob("*") if file.is_file()}
+
+    out, (study, _, experiment) = tmp_path / "site", folders
+    monkeypatch.setattr(album, "INSIDE", 0)  # pictures of the reports lie beside them
+    write_site([study], out, QUIET)
+    before = files()
+    assert {"light.csv", "index.files"} <= {Path(file).relative_to("studies/dim-low").parts[0]
+                                            for file in before if file.startswith("studies")}  # fmt: skip
+    mine = out / "studies" / "dim-low" / "index.files" / "mine.txt"
+    mine.write_text("mine")
+    write_site([study], out, QUIET)
+    write_site([experiment, experiment], out, QUIET)
+    assert before & files() == {"index.html", "site.json", "methods/naive.html"}
+    assert (out / "studies" / "plain-2" / "index.html").is_file()
+    assert mine.read_text() == "mine"
 
 
 def test_a_site_goes_into_a_folder_of_other_things_only_when_told_to(folders: list[Path], tmp_path: Path) -> None:
