@@ -62,7 +62,7 @@ class _Following:
         self.out, self.logger, self.folder = out, logger, out.with_name(f"{out.name}.logs") / logger
         self.sinks: dict[Path, Sink] = {}
         self.failed: str | None = None
-        self.last = {path: max((step for step, _ in _events(path)), default=-1) for path in self._files()}
+        self.sent = {path: list(_events(path)) for path in self._files()}
 
     def _files(self) -> list[Path]:
         return [*self.out.glob(EVENTS), *sorted(self.out.glob(f"*/{EVENTS}"))]
@@ -80,12 +80,15 @@ class _Following:
 
     def _send(self) -> None:
         for path in self._files():
-            for step, values in _events(path):
-                if step > self.last.get(path, -1):
-                    if path not in self.sinks:
-                        self.sinks[path] = LOGGERS[self.logger](self.folder, path.parent.name)
-                    self.sinks[path].add(step, values)
-                    self.last[path] = step
+            events, sent = list(_events(path)), self.sent.get(path, [])
+            # From where another run goes on in that file; one that goes on from a checkpoint repeats its own steps.
+            other = next((k for k, pair in enumerate(zip(events, sent, strict=False)) if pair[0] != pair[1]), None)
+            sent = sent[:other]
+            for step, values in events[len(sent) :]:
+                if path not in self.sinks:
+                    self.sinks[path] = LOGGERS[self.logger](self.folder, path.parent.name)
+                self.sinks[path].add(step, values)
+            self.sent[path] = [*sent, *events[len(sent) :]]
 
 
 def _events(path: Path) -> Iterator[tuple[int, Mapping[str, float]]]:

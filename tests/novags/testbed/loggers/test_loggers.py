@@ -74,6 +74,18 @@ def test_steps_of_before_are_not_sent_again_and_those_after_a_checkpoint_once(se
     assert [each[:2] for each in sent if each[1] > 10] == [("interrupted", 40), ("other", 20)]
 
 
+def test_a_run_that_begins_anew_where_another_one_was_is_sent_whole(sent: Sent, tmp_path: Path) -> None:
+    """Rationale: its steps were taken for steps of the earlier run, and only those beyond it arrived."""
+    events = tmp_path / "run" / "events.jsonl"
+    write(tmp_path / "run", 10, 20, 30)
+    with logged(tmp_path / "run", "tensorboard", Console(quiet=True)):
+        text = events.read_text().replace("0.1", "0.7").replace("0.05", "0.6")
+        events.write_text(text + text.splitlines()[0].replace("10", "40") + "\n")
+    assert [(step, values["photometric"]) for _, step, values in sent if step > 0] == [
+        (10, 0.7), (20, 0.6), (30, 1 / 30), (40, 0.7)
+    ]  # fmt: skip
+
+
 def test_a_logger_that_fails_costs_a_note_and_no_work(
     sent: Sent, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
