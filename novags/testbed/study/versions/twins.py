@@ -232,14 +232,18 @@ class TwinVerdict:
                 if all(side.values(name, kind, number) for side in (self.twin, self.real))]  # fmt: skip
 
     def order(self, kind: str, number: str) -> RankCorrelation | None:
-        """How well the order agrees; None of too few methods."""
+        """How well the order by values that all methods have agrees; None of too few methods, or without any."""
         known = self.known(kind, number)
         if len(known) < FEWEST:
             return None
         means = []
         for side in (self.twin, self.real):
-            found = [estimate(side.values(name, kind, number)) for name in known]
+            several = [side.values(name, kind, number) for name in known]
+            shared = set.intersection(*({*values} for values in several))  # a method may have failed on a hard scene
+            found = [estimate({key: values[key] for key in values if key in shared}) for values in several]
             means.append([each.value for each in found if each is not None])
+        if min(map(len, means)) < len(known):
+            return None
         return rank_correlation(*means)
 
     def differences(self, kind: str, number: str) -> list[Predicted]:
@@ -266,14 +270,16 @@ class TwinVerdict:
         """The verdict in lines of text."""
         said = []
         for kind, number in SCORES:
-            if (order := self.order(kind, number)) is None:
+            if len(self.known(kind, number)) < FEWEST:
                 continue
+            order = self.order(kind, number)
+            ordered = "no order, because no value is of all methods" if order is None else (
+                f"rank correlation {order.value:.2f} of {order.methods} methods (p = {order.p:.2g})")  # fmt: skip
             apart = self.differences(kind, number)
             judged = [each.agrees for each in apart if each.agrees is not None]
             agree = f"{sum(judged)} of {len(judged)} differences to {self.against} agree" if judged else (
                 "no errors are known of differences")  # fmt: skip
-            said.append(f"{kind}.{number}: rank correlation {order.value:.2f} of {order.methods} methods "
-                        f"(p = {order.p:.2g}); {agree}")  # fmt: skip
+            said.append(f"{kind}.{number}: {ordered}; {agree}")
             for each in apart:
                 differs = " (differs)" if each.agrees is False else ""
                 twin, real = _signed(each.twin), _signed(each.real)

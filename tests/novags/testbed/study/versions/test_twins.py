@@ -111,6 +111,35 @@ def test_a_twin_that_is_wrong_about_a_method_says_which(tmp_path: Path) -> None:
     assert rows[2]["real"] == pytest.approx(-2.0, abs=0.3)
 
 
+@pytest.mark.parametrize("missing", ["x", "y"])
+def test_a_run_that_failed_takes_its_scene_from_the_order_of_all_methods(tmp_path: Path, missing: str) -> None:
+    """Rationale: the mean of the best method was of hard scenes alone, and it came last."""
+    for name in ("twin", "real"):
+        study(tmp_path / name, METHODS)
+    table = tmp_path / "real" / "results.json"
+    results = json.loads(table.read_text())
+    for row in results["rows"]:
+        scores = tmp_path / "real" / row["folder"] / "scores.json"
+        found = json.loads(scores.read_text())
+        for own in (found["mean"], *found["views"].values()):
+            own["lit"]["tone_aligned_psnr"] += 10.0 * (row["scene"] == missing)
+        scores.write_text(json.dumps(found))
+        if (row["scene"], row["method"]) == (missing, "c"):
+            row["state"] = "failed"
+    table.write_text(json.dumps(results))
+    sides = both_sides(tmp_path / "twin", tmp_path / "real", {})
+    order = TwinVerdict(*sides, "naive", []).order("lit", "tone_aligned_psnr")
+    assert order is not None
+    assert order.value == 1.0
+    for row in results["rows"]:  # no scene has two methods
+        row["state"], row["scene"] = "done", row["method"]
+    table.write_text(json.dumps(results))
+    sides = both_sides(tmp_path / "twin", tmp_path / "real", {})
+    verdict = TwinVerdict(*sides, "naive", [])
+    assert verdict.order("lit", "tone_aligned_psnr") is None
+    assert verdict.lines()[0].startswith("lit.tone_aligned_psnr: no order, because no value is of all methods; ")
+
+
 def test_what_cannot_be_compared_is_refused(tmp_path: Path) -> None:
     twin, real = study(tmp_path / "twin", METHODS), study(tmp_path / "real", {"a": 1.0, "b": 2.0, "d": 3.0})
     with pytest.raises(ValueError, match="3 methods or more must be in both studies, got 2"):
