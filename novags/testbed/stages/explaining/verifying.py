@@ -29,6 +29,7 @@ from simscenes.sets.names import safe_name
 
 RECORD = "verify.json"
 SHOWN = 3  # files that one line can hold
+SCORES = ("mean", "geometry", "noise", "training_2d")  # parts of the scores of a run; its cost is another each time
 
 
 @dataclass(frozen=True)
@@ -118,11 +119,11 @@ def _stages(name: str, run: Run, folder: Path, console: Console) -> Iterator[Ver
 
 
 def _compared(name: str, before: Mapping[str, Any], after: Mapping[str, Any]) -> Verified:
-    """The mean scores of both."""
+    """The scores of both: means over views, of depth and noise too."""
     old, new = (
-        {key: value for key, value in flat(scores["mean"]).items() if isinstance(value, float)}
-        for scores in (before, after)
-    )
+        {key.removeprefix("mean."): value for key, value in flat({part: scores.get(part) for part in SCORES}).items()
+         if isinstance(value, float) and not key.startswith("geometry.views.")} for scores in (before, after)
+    )  # fmt: skip
     differ = {key for key in {*old, *new} if old.get(key) != new.get(key)}
     decibels = [abs(old[key] - new[key]) for key in differ & old.keys() & new.keys() if key.endswith("psnr")]
     return Verified(name, "scores", len({*old, *new}), tuple(sorted(differ)), max(decibels, default=0.0))

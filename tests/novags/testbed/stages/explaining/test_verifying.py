@@ -67,6 +67,23 @@ def test_all_files_and_scores_are_what_they_were(place: Path) -> None:
     assert wanted == have
 
 
+@pytest.mark.parametrize("forged", ["geometry.abs_rel", "noise.renders", "training_2d.blur.psnr", "mean.lit.ssim"])
+def test_every_kind_of_score_is_compared(forged: str) -> None:
+    """Rationale: depths and noise could say anything, and all scores were said to be the same."""
+    depth = {"abs_rel": 0.1, "views": {"0000": {"abs_rel": 0.1}}}
+    scores = {"mean": {"lit": {"ssim": 0.5}}, "geometry": depth, "noise": {"renders": 0.2},
+              "training_2d": {"blur": {"psnr": 20.0}}, "seconds": {"render": 3.0}}  # fmt: skip
+    other: Any = json.loads(json.dumps(scores | {"seconds": {"render": 4.0}}))
+    assert module._compared("naive", scores, other).same
+    part, (*above, last) = other, forged.split(".")
+    for name in above:
+        part = part[name]
+    part[last] += 1.0
+    found = module._compared("naive", scores, other)
+    assert found.differ == (forged.removeprefix("mean."),)
+    assert found.parts == 4
+
+
 def test_nothing_of_the_inputs_is_taken_over(place: Path) -> None:
     """Rationale: a link or a copy of what is verified would always be the same."""
     found(place, "naive")
