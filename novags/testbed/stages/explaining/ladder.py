@@ -16,6 +16,7 @@ from novags.testbed.console.csv_text import as_csv
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders.run import EXPLAINED, METRICS, open_run
 from novags.testbed.ledger.contents import read_json, write_json
+from novags.testbed.ledger.difference import differences, listed
 from novags.testbed.ledger.dry import dry_run
 from novags.testbed.metrics.differences import Estimate, Values, difference, estimate, paired
 from novags.testbed.metrics.truth import ERROR
@@ -31,6 +32,7 @@ from sensor_model.files.atomic import write_text
 from sensor_model.files.lock import dry
 
 RECORD, TABLE = "explain.json", "explain.csv"
+SEEDS = ("seed", "drawn")  # of a run, of the noise, of a render
 SHAPE: Any = {"run": str, "score": str, "value": (float, int, None), "first": str, "not_swapped": {"*": str},
               "steps": [{"swap": str, "truth": str, "won": float}]}  # fmt: skip
 
@@ -91,7 +93,7 @@ def cases_of(paths: Sequence[Path], console: Console, commands: tuple[CommandCon
     """The runs to explain, scored; `commands` are programs that one may be by.
 
     Raises:
-        ValueError: If one cannot be read or scored, or they are not of one method.
+        ValueError: If one cannot be read or scored, or they differ in more than their seeds.
     """
     found = []
     for path in paths:
@@ -103,9 +105,22 @@ def cases_of(paths: Sequence[Path], console: Console, commands: tuple[CommandCon
         found.append(Case(run, *run.inputs(console), scores, commands))
     if len(names := sorted({case.run.name for case in found})) > 1:
         raise ValueError(f"runs that are explained together must be of one method, got {', '.join(names)}")
+    for case in found[1:]:
+        if apart := differences(_but_seeds(found[0]), _but_seeds(case)):
+            raise ValueError(f"runs that are explained together must differ in their seeds alone, and of "
+                             f"{case.run.path} {listed(apart)}: explain it by itself")  # fmt: skip
     if len({case.seed for case in found}) < len(found):
         raise ValueError("runs that are explained together must differ in their seeds: one at a time")
     return found
+
+
+def _but_seeds(case: Case) -> dict[str, Any]:
+    """The settings of a run, its capture and its set without their seeds; of a set that no stage made, its content."""
+    made = case.source.views.meta.get("stage")
+    stages = {"run": case.run.record["stage"], "capture": case.capture.record.stage, **({"set": made} if made else {})}
+    settings = {what: {name: value for name, value in stage["config"].items() if name not in SEEDS}
+                for what, stage in stages.items()}  # fmt: skip
+    return {**settings, "set of": made.get("inputs", {}) if made else case.source.content}
 
 
 def changes_of(case: Case, asked: Sequence[str]) -> dict[str, Change]:

@@ -155,20 +155,40 @@ def test_the_ladder_of_each_run_is_written_and_the_one_of_all_is_over_their_seed
     assert found.not_swapped.keys() == {"colours"}
 
 
-def test_runs_of_two_methods_and_of_one_seed_are_not_explained_together(
+def test_runs_that_differ_in_more_than_their_seeds_or_in_nothing_are_not_explained_together(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Rationale: runs of two scenes, in other light, were taken for two seeds of one scene."""
+
     def opened(path: Path) -> Any:
-        own = case(path)
-        return SimpleNamespace(name=path.name, path=path, record={"seed": 0}, scores=lambda: own.scores,
-                               inputs=lambda _: (own.capture, own.source))  # fmt: skip
+        """Named by the folder, with the seed in the name of the folder above and what is in the name above that."""
+        own, seed, (part, _, value) = case(path), int(path.parent.name), path.parent.parent.name.partition("=")
+        told = {"run": {"points": 60}, "capture": {"electrons": 20}, "set": {"scene": "cornell"}}
+        stages = {what: {"config": {**config, "seed": seed}} for what, config in told.items()}
+        if part in stages:
+            stages[part]["config"] |= dict.fromkeys(told[part], value)
+        capture = SimpleNamespace(record=SimpleNamespace(simulated=None, stage=stages["capture"]))
+        source = SimpleNamespace(views=SimpleNamespace(meta={"stage": stages["set"]}), content=str(seed))
+        if part == "photographs":
+            source = SimpleNamespace(views=SimpleNamespace(meta={}), content=value)
+        return SimpleNamespace(name=path.name, path=path, record={"seed": seed, "stage": stages["run"]},
+                               scores=lambda: own.scores, inputs=lambda _: (capture, source))  # fmt: skip
 
     monkeypatch.setattr(module, "score", lambda *_: None)
     monkeypatch.setattr(module, "open_run", opened)
+    quiet, first = Console(quiet=True), tmp_path / "0" / "naive"
     with pytest.raises(ValueError, match="must be of one method, got naive, nova"):
-        cases_of([tmp_path / "naive", tmp_path / "nova"], Console(quiet=True))
+        cases_of([first, tmp_path / "1" / "nova"], quiet)
     with pytest.raises(ValueError, match="must differ in their seeds"):
-        cases_of([tmp_path / "naive", tmp_path / "b" / "naive"], Console(quiet=True))
+        cases_of([first, tmp_path / "b" / "0" / "naive"], quiet)
+    for other, said in (("run=70", "run.points was 60, is 70"), ("capture=5", "capture.electrons was 20, is 5"),
+                        ("set=busts", "set.scene was cornell, is busts")):  # fmt: skip
+        with pytest.raises(ValueError, match=f"must differ in their seeds alone, and of .*{said}: explain it by"):
+            cases_of([first, tmp_path / "1" / "naive", tmp_path / other / "2" / "naive"], quiet)
+    photographs = [tmp_path / f"photographs={of}" / seed / "naive" for of, seed in (("a", "0"), ("a", "1"), ("b", "2"))]
+    with pytest.raises(ValueError, match="set of was a, is b"):
+        cases_of(photographs, quiet)
+    assert len(cases_of(photographs[:2], quiet)) == len(cases_of([first, tmp_path / "1" / "naive"], quiet)) == 2
 
 
 def test_a_program_is_found_among_all_that_are_known(tmp_path: Path) -> None:
