@@ -215,15 +215,15 @@ def _over(
 def mean_scores(scores: Sequence[Scores]) -> Scores:
     """Mean over views of each score of any of the score dictionaries; a score that no view has stays None.
 
-    Standard errors by the truth's noise (`psnr_error`) become that of the mean of the views that have the score, of
-    which they are independent; infinite where none has.
+    Standard errors by the truth's noise (`psnr_error` beside `psnr`) become that of the mean of the views that have the
+    score, of which they are independent; infinite where none has.
     """
     if not scores:
         raise ValueError("there are no views to average")
     table: Any = scores  # TypedDicts share no type with their keys as variables
     values = {name: [view[name] for view in table if view[name] is not None] for name in table[0]}
     mean: Any = {name: float(np.mean(found)) if found else None for name, found in values.items()}
-    for name in (name for name in mean if name.endswith(ERROR)):
+    for name in (name for name in mean if name.endswith(ERROR) and name.removesuffix(ERROR) in mean):
         known = [error for error in values[name] if np.isfinite(error)]
         mean[name] = float(np.linalg.norm(known)) / len(known) if known else max(values[name], default=None)
     return mean

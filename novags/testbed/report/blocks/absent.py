@@ -20,8 +20,8 @@ def absent(material: Material, page: Page) -> dict[str, Any] | None:
     found = dict(fact for each in material.made.values() for fact in _of_run(each))
     scores = (column.partition(".") for row in material.rows for column in row)
     # What stands beside a score has no row of its own.
-    names = dict.fromkeys(name.removesuffix(ERROR).removesuffix(BIAS) for kind, _, name in scores
-                          if kind in PICTURES and name != VARIANCE)  # fmt: skip
+    names = dict.fromkeys(name if name in METRICS else name.removesuffix(ERROR).removesuffix(BIAS)
+                          for kind, _, name in scores if kind in PICTURES and name != VARIANCE)  # fmt: skip
     found |= {f"metric {name}": "no column: whether more of it is better is not known"
               for name in names if METRICS.get(name) is None}  # fmt: skip
     return {"facts": found} if found else None

@@ -202,6 +202,8 @@ def test_means_are_over_views_and_keep_what_is_missing_missing() -> None:
     assert mean["tone_aligned_psnr"] == pytest.approx(np.mean([s["tone_aligned_psnr"] for s in scores]))
     assert mean["lpips"] is None
     assert mean_scores([{"a": 1.0, "b": None}, {"a": 2.0, "b": 4.0}]) == {"a": 1.5, "b": 4.0}
+    errors = [{"psnr": 30.0, "psnr_error": 0.3, "angular_error": angle} for angle in (3.0, 4.0, 8.0)]
+    assert mean_scores(errors) == pytest.approx({"psnr": 30.0, "psnr_error": 0.3 / 3**0.5, "angular_error": 5.0})
     with pytest.raises(ValueError, match="no views to average"):
         mean_scores([])
 

@@ -3,6 +3,9 @@
 from types import SimpleNamespace
 from typing import Any
 
+import pytest
+
+from novags.testbed.metrics import METRICS
 from novags.testbed.report.blocks.absent import absent
 
 
@@ -28,3 +31,8 @@ def test_nothing_is_said_where_all_is_here() -> None:
     beside = {"enhanced.aligned_psnr_error": 0.1, "lit.ssim_bias": 0.0, "lit.truth_variance": 1e-5}
     rows = [{"enhanced.aligned_psnr": 1.0}, {"lit.psnr": 2.0} | beside]
     assert absent(SimpleNamespace(made={1: made("naive")}, rows=rows), None) is None  # type: ignore[arg-type]
+
+
+def test_a_metric_that_is_here_may_be_called_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(METRICS, "angular_error", METRICS["psnr"])
+    assert absent(SimpleNamespace(made={}, rows=[{"lit.angular_error": 3.0}]), None) is None  # type: ignore[arg-type]
