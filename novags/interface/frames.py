@@ -1,12 +1,13 @@
 """Tidy data frames of opened folders: one row for each view, score, loss or run."""
 
 from collections.abc import Callable, Iterator, Mapping
+from math import inf, nan
 from typing import TYPE_CHECKING, Any
 
 from novags.interface.opening import Opened, StudyResults
 from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.run import Run
-from novags.testbed.metrics.truth import ERROR
+from novags.testbed.metrics.truth import BIAS, ERROR
 from novags.testbed.study.differences import DIFFERENCES
 from sensor_model.files.door import opened
 from simscenes.sets.multiview import MultiviewSet
@@ -14,7 +15,7 @@ from simscenes.sets.multiview import MultiviewSet
 if TYPE_CHECKING:
     import pandas as pd
 
-BIAS = "_bias"  # ends the name of a score's bias
+NUMBERS = {"inf": inf, "-inf": -inf, "nan": nan}  # as text in JSON
 
 
 def frame(of: Opened, what: str | None = None) -> "pd.DataFrame":
@@ -40,8 +41,16 @@ def frame(of: Opened, what: str | None = None) -> "pd.DataFrame":
         import pandas as pd
     except ModuleNotFoundError as error:
         raise ModuleNotFoundError("novags.frame makes data frames of pandas: pip install 'novags[frames]'") from error
-    found = kinds[name](of)
-    return found if isinstance(found, pd.DataFrame) else pd.DataFrame(list(found))
+    found, axes = kinds[name](of), getattr(of, "axes", ())
+    if isinstance(found, pd.DataFrame):
+        return found
+    return pd.DataFrame([{column: value if column in axes else _number(value) for column, value in row.items()}
+                         for row in found])  # fmt: skip
+
+
+def _number(value: Any) -> Any:
+    """A value, as a number where it is one that JSON has as text."""
+    return NUMBERS.get(value, value) if isinstance(value, str) else value
 
 
 def _views(of: MultiviewSet) -> Iterator[dict[str, Any]]:
@@ -73,7 +82,8 @@ def _along(run: Run) -> Iterator[dict[str, Any]]:
 def _long(reference: str, scores: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
     """One row a score, with its error and bias in columns."""
     for name, value in scores.items():
-        if value is not None and not isinstance(value, Mapping) and not name.endswith((ERROR, BIAS)):
+        beside = any(name.endswith(end) and name.removesuffix(end) in scores for end in (ERROR, BIAS))
+        if value is not None and not isinstance(value, Mapping) and not beside:
             yield {"reference": reference, "score": name, "value": float(value), "error": scores.get(name + ERROR),
                    "bias": scores.get(name + BIAS)}  # fmt: skip
 
@@ -88,7 +98,7 @@ def _differences(study: StudyResults) -> "pd.DataFrame":
     import pandas as pd
 
     with opened(study.path / DIFFERENCES) as file:
-        return pd.read_csv(file)
+        return pd.read_csv(file, keep_default_na=False, na_values=[""])  # "None" is a value of an axis
 
 
 TABLES: Mapping[type, Mapping[str, Callable[[Any], Any]]] = {

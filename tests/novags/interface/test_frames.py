@@ -47,6 +47,27 @@ def test_a_run_without_scores_of_geometry_has_only_scores_of_pictures(geometry: 
     assert [row["reference"] for row in TABLES[Run]["scores"](run)] == ["lit", "lit"]
 
 
+def test_a_score_of_ones_own_may_be_called_an_error_or_a_bias() -> None:
+    run = SimpleNamespace(path=Path(), scores=lambda: {"views": {"0": {"lit": {"angular_error": 3.0, "a_bias": 2.0}}}})
+    found = [(row["score"], row["value"], row["error"]) for row in TABLES[Run]["scores"](run)]
+    assert found == [("angular_error", 3.0, None), ("a_bias", 2.0, None)]
+
+
+def test_numbers_that_are_text_in_json_are_numbers_in_a_frame_and_names_stay_text(tmp_path: Path) -> None:
+    """Rationale: a column with one infinite error was text, whose sum is more text."""
+    pytest.importorskip("pandas")
+    row = {"scene": "inf", "state": "done", "lit.psnr": 20.0, "lit.psnr_error": 0.5}
+    study = StudyResults(tmp_path, {"scene": ["inf"]}, (row, row | {"lit.psnr": "nan", "lit.psnr_error": "inf"}))
+    found = frame(study)
+    assert found["lit.psnr_error"].tolist() == [0.5, float("inf")]
+    assert found["lit.psnr"].mean() == 20.0
+    assert found["scene"].tolist() == ["inf", "inf"]
+    (tmp_path / DIFFERENCES).write_text("quality,method,error\nNone,nova,\n90,nova,inf\n")
+    found = frame(study, "differences")
+    assert found["quality"].tolist() == ["None", "90"]
+    assert found["error"].isna().tolist() == [True, False]
+
+
 def test_a_run_that_was_not_scored_names_the_command_that_scores_it() -> None:
     run = SimpleNamespace(path=Path("made"), scores=lambda: None)
     with pytest.raises(ValueError, match="made has not been scored: novags score made"):
