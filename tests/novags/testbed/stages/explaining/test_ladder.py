@@ -163,7 +163,11 @@ def test_runs_that_differ_in_more_than_their_seeds_or_in_nothing_are_not_explain
     def opened(path: Path) -> Any:
         """Named by the folder, with the seed in the name of the folder above and what is in the name above that."""
         own, seed, (part, _, value) = case(path), int(path.parent.name), path.parent.parent.name.partition("=")
-        told = {"run": {"points": 60}, "capture": {"electrons": 20}, "set": {"scene": "cornell"}}
+        told: dict[str, dict[str, Any]] = {
+            "run": {"points": 60},
+            "capture": {"electrons": 20},
+            "set": {"scene": "cornell"},
+        }
         stages = {what: {"config": {**config, "seed": seed}} for what, config in told.items()}
         if part in stages:
             stages[part]["config"] |= dict.fromkeys(told[part], value)
