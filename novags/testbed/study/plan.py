@@ -114,7 +114,11 @@ def check(preset: Preset, console: Console, here: bool = True) -> None:
     """
     check_cameras(preset.cameras)
     preset.refuse_lacking()
-    if preset.command(preset.methods[0]) is not None and preset.cameras != KnownConfig():
+    program = preset.command(preset.methods[0])
+    for folder in () if program is None else program.uncounted:
+        console.warn(f"{preset.methods[0]}: its command names the folder {folder}, and a change in that makes no run "
+                     f'again: if it is read, name it in files (files = ["{folder}"])')  # fmt: skip
+    if program is not None and preset.cameras != KnownConfig():
         raise ValueError(f"cameras: {preset.methods[0]} is a program, which reads the true cameras (known) with its "
                          "pictures: leave the others out with [[exclude]]")  # fmt: skip
     if here:

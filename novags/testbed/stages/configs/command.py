@@ -1,5 +1,6 @@
 """A method that is a program: which one, and the changes that make it another one."""
 
+import os
 import re
 import shlex
 import shutil
@@ -137,11 +138,26 @@ class CommandConfig:
         return folder_digest(self.folder, (), beside=found)
 
     def _named(self) -> list[str]:
-        """The files that the command names, in its words or behind their "=" (--config=a.yaml)."""
+        """The files that the command names."""
+        return [part for part in self._parts() if (self.folder / part).is_file()]
+
+    @property
+    def uncounted(self) -> list[str]:
+        """The folders that the command names and `files` does not: whether one is read or written, only its user knows.
+
+        A change in one makes no other program. The folder where it runs is not among them, nor are folders above.
+        """
+        here, *counted = (Path(os.path.abspath(self.folder / name)) for name in (".", *self.files))
+        named = {part: Path(os.path.abspath(self.folder / part)) for part in self._parts()
+                 if part and (self.folder / part).is_dir()}  # fmt: skip
+        return [part for part, place in named.items() if not here.is_relative_to(place)
+                and not any(place.is_relative_to(other) for other in counted)]  # fmt: skip
+
+    def _parts(self) -> list[str]:
+        """The words of the command, and what stands behind their "=" (--config=a.yaml)."""
         program, *rest = self._split()
         words = rest if self._of_machine(program) else [program, *rest]
-        parts = [part for word in words for part in (word, word.partition("=")[2])]
-        return [part for part in parts if (self.folder / part).is_file()]
+        return [part for word in words for part in (word, word.partition("=")[2])]
 
     def _of_machine(self, program: str) -> bool:
         """Whether it is an interpreter by its whole path: part of the machine, as one that is found by its name."""

@@ -259,6 +259,21 @@ def test_every_file_that_a_command_names_makes_it_another_program(tmp_path: Path
             assert found.resolved() != before, (program, name)
 
 
+def test_folders_that_a_command_names_are_told_from_those_that_count(tmp_path: Path) -> None:
+    for name in ("theirs/weights", "cache", "lib"):
+        (tmp_path / name).mkdir(parents=True)
+    command = (
+        f"{shlex.quote(sys.executable)} -m theirs --weights=theirs/weights --cache cache lib . .. {{capture}} {{out}}"
+    )
+    for files, uncounted in (
+        ([], ["theirs", "theirs/weights", "cache", "lib"]),
+        (["theirs"], ["cache", "lib"]),
+        (["lib", "cache", "theirs"], []),
+    ):
+        (found,) = read_commands({"mine": {"command": command, "files": files}}, tmp_path)
+        assert found.uncounted == uncounted
+
+
 WRONG = {
     "no command": ({"mine": {"timeout": 3}}, r'\[method.mine\]: it needs command = "PROGRAM {capture} {out}"'),
     "no table": ({"mine": "python"}, r"\[method.mine\]: it needs command"),

@@ -1,5 +1,6 @@
 """Claims about the plan of a study: what is shared, what a key depends on, what is refused, what it will take."""
 
+import io
 import json
 from collections import Counter
 from collections.abc import Mapping
@@ -349,3 +350,16 @@ def test_time_left_of_a_task_under_way_is_at_least_what_its_own_pace_says(monkey
     assert watch.seconds_left()["a"] == pytest.approx(6.0)  # the new stage's pace, not the old one's
     watch.progress("a", "render", 0, 4, "")  # the next scene, begun again: the count starts anew
     assert watch.seconds_left() == {"a": 0.0, "b": 60.0}
+
+
+def test_folders_that_a_program_is_given_and_that_do_not_count_are_said(tmp_path: Path) -> None:
+    """Rationale: a run was kept as unchanged though the weights that the command names had changed."""
+    (tmp_path / "weights").mkdir()
+    said = io.StringIO()
+    for files in ("", 'files = ["weights"]'):
+        program = f'command = "true --weights weights {{capture}} {{out}}"\n{files}'
+        (tmp_path / "study.toml").write_text(f'preset = "demo"\n[grid]\nmethod = "mine"\n[method.mine]\n{program}\n')
+        plan_of(read_study(tmp_path / "study.toml"), tmp_path / "store", Console(stream=said))
+    (line,) = said.getvalue().splitlines()
+    assert line.startswith("note: mine: its command names the folder weights, and a change in that makes no run again")
+    assert line.endswith('if it is read, name it in files (files = ["weights"])')
