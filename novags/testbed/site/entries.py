@@ -7,6 +7,7 @@ from functools import cached_property
 from pathlib import Path
 
 from novags.testbed.console.terminal import Console
+from novags.testbed.ledger.contents import digest
 from novags.testbed.report.grid import CAPTURE, SCENE, Line
 from novags.testbed.report.material import Material, RunRecords, material_of
 from novags.testbed.report.place import command_of, places_in
@@ -60,6 +61,7 @@ class Entry:
 
     study: SiteStudy
     line: Line
+    apart: bool = False  # whether another study means another method by its name
 
     @property
     def look(self) -> Row:
@@ -70,7 +72,14 @@ class Entry:
     def method(self) -> str:
         """The name of its method or variant: of runs of several captures the name that they share."""
         made = self._made
-        return made.run.name if made and not self.study.material.study else self.line.method
+        name = made.run.name if made and not self.study.material.study else self.line.method
+        return f"{name} ({self.study.name})" if self.apart else name
+
+    @property
+    def meant(self) -> tuple[str, str | None]:
+        """The method behind its name, and the settings that make a variant of it, where they are known."""
+        made = self._made
+        return self.look.method, None if made is None else digest(made.run.record.get("variant", {}))
 
     @property
     def scene(self) -> str:
@@ -133,6 +142,18 @@ def studies_of(folders: Sequence[Path], site: Path, console: Console) -> list[Si
             material = material_of(places_in([folder], console), path, command_of(folder))
         found.append(SiteStudy(name, folder, material))
     return found
+
+
+def told_apart(entries: Sequence[Entry]) -> list[Entry]:
+    """The same; a name by which studies mean several methods, or variants with other settings, has the study behind
+    it.
+    """
+    meant: dict[str, tuple[set[str], set[str]]] = {}
+    for entry in entries:
+        (method, settings), (methods, several) = entry.meant, meant.setdefault(entry.method, (set(), set()))
+        methods.add(method)
+        several.update([] if settings is None else [settings])
+    return [replace(entry, apart=max(map(len, meant[entry.method])) > 1) for entry in entries]
 
 
 def looks_of_all(entries: Iterable[Entry]) -> dict[str, Row]:

@@ -14,7 +14,7 @@ from novags.testbed.report.look.album import OWN, Album, files_of
 from novags.testbed.report.page import BLOCKS, build, filled
 from novags.testbed.report.rows import Row, deviations
 from novags.testbed.report.words import named, size
-from novags.testbed.site.entries import STUDIES_IN, Entry, SiteStudy, looks_of_all, pages_of, studies_of
+from novags.testbed.site.entries import STUDIES_IN, Entry, SiteStudy, looks_of_all, pages_of, studies_of, told_apart
 from novags.testbed.site.latex import latex
 from novags.testbed.site.pictures import DARK, TRUTH, Shots, of_entry, shots_of
 from novags.testbed.site.tables import entries_table
@@ -83,7 +83,7 @@ def write_site(folders: Sequence[Path], out: Path, console: Console, *, overwrit
     with console.progress("site: pictures") as progress:
         shots = shots_of(studies, album, progress)
     album.settle()
-    entries = [entry for study in studies for entry in study.entries]
+    entries = told_apart([entry for study in studies for entry in study.entries])
     links = {"Method": pages_of((entry.method for entry in entries), METHODS_IN),
              "Scene": pages_of((entry.scene for entry in entries), SCENES_IN),
              "Study": {study.name: study.page for study in studies}}  # fmt: skip

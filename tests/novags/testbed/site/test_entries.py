@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -9,7 +10,7 @@ import pytest
 from novags.testbed.folders.run import Run
 from novags.testbed.report.material import Material, RunRecords
 from novags.testbed.report.rows import looks_of
-from novags.testbed.site.entries import Entry, SiteStudy, looks_of_all, pages_of, plain_name, studies_of
+from novags.testbed.site.entries import Entry, SiteStudy, looks_of_all, pages_of, plain_name, studies_of, told_apart
 from tests.novags.testbed.site.small_studies import PSNR, QUIET, dusk, night, studies, write_study
 
 
@@ -95,3 +96,17 @@ def test_names_that_differ_have_pages_that_differ() -> None:
     ]  # fmt: skip
     assert list(found) == ["naive*3", "naive-3", "Naive-3", "a:1", "../x"]
     assert plain_name("...") == plain_name("ü") == "page"
+
+
+def test_a_name_of_several_methods_or_settings_has_the_study_behind_it() -> None:
+    """Rationale: a variant of the oracle stood as one of naive, among its rivals."""
+
+    def entry(study: str, name: str, method: str, settings: dict[str, Any] | None) -> Entry:
+        runs = [] if settings is None else [SimpleNamespace(run=SimpleNamespace(record={"variant": settings}))]
+        material = SimpleNamespace(study=True, looks={name: SimpleNamespace(method=method)}, of=lambda _: runs)
+        return Entry(SimpleNamespace(name=study, material=material), SimpleNamespace(method=name))  # type: ignore[arg-type]
+
+    told = [("a", "v", "naive", {"eta": 1}), ("b", "v", "oracle", {"eta": 1}), ("a", "w", "naive", {"eta": 1}),
+            ("b", "w", "naive", {"eta": 2}), ("a", "naive", "naive", {}), ("b", "naive", "naive", None)]  # fmt: skip
+    found = told_apart([entry(*each) for each in told])
+    assert [each.method for each in found] == ["v (a)", "v (b)", "w (a)", "w (b)", "naive", "naive"]
