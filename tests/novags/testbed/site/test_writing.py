@@ -27,7 +27,8 @@ QUIET = Console(quiet=True)
 HELD_OUT, PSNR = "0000", "PSNR aligned, noise-free dB ↑"
 VARIANTS = {name: {"method": "naive"} for name in ("better", "lone")}
 # Scene, electrons, method, seed, aligned PSNR; grey of the render, iterations of the fit and memory of the run.
-DIM = (("attic", 7, "lone", 0, 20.0, 50, 100, 300), ("attic", 7, "lone", 1, 20.0, 50, 100, 200), ("hall", 5, "naive", 0, 21.0, 60, 200, 100),
+DIM = (("attic", 7, "lone", 0, 20.0, 50, 100, 300), ("attic", 7, "lone", 1, 20.0, 50, 100, 200),
+       ("hall", 5, "naive", 0, 21.0, 60, 200, 100),
        ("hall", 5, "naive", 1, 23.0, 70, 200, 900), ("hall", 5, "better", 0, 25.0, 80, 300, 800),
        ("hall", 50, "naive", 0, 27.5, 90, 200, 100), ("hall", 50, "better", 0, 26.5, 100, 300, 200))  # fmt: skip
 LONG = (("hall", 5, "naive", 0, 31.0, None, 0, 0), ("hall", 50, "naive", 0, 33.0, 110, 200, 500),
