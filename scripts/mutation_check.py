@@ -69,7 +69,7 @@ Placed = tuple[str, Mutant]  # file, mistake in it
 Group = tuple[list[str], list[str]]  # sources, and the tests that answer for them
 # Imported once, before the forks. Nothing of ours, and nothing that starts threads, which a fork would lose.
 LIBRARIES = ("torch", "numba", "scipy.stats", "scipy.optimize", "scipy.ndimage", "hypothesis", "safetensors.torch",
-             "cv2", "torchmetrics", "skimage.metrics", "colour_demosaicing")  # fmt: skip
+             "cv2", "torchmetrics", "skimage.metrics", "colour")  # fmt: skip
 
 
 def matching(patterns: tuple[str, ...]) -> list[str]:
