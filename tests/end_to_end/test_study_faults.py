@@ -312,7 +312,7 @@ def test_two_versions_of_novags_share_a_store_and_no_entry_that_their_code_makes
     def another() -> None:
         workers_of_another()
         codes.ROOT = reach.ROOT = str(tmp_path / "other")
-        for remembered in (codes._code_of, codes._beside, codes._content, reach._module, reach._of_ours):
+        for remembered in (codes._code_of, codes._beside, codes._content, reach._module, reach._next, reach._of_ours):
             remembered.cache_clear()
 
     assert run()[0] == 0

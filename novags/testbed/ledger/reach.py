@@ -64,6 +64,7 @@ def reached(roots: Iterable[str]) -> dict[str, Counted]:
     return {module: counted for module, counted in walk.found.items() if counted.definitions or counted.imports}
 
 
+@cache
 def is_outside(module: str) -> bool:
     """Whether no result depends on a module."""
     return any(module == place or module.startswith(f"{place}.") for place in OUTSIDE)
@@ -78,7 +79,7 @@ def path_of(module: str) -> Path:
 
 def source_of(module: str) -> SourceCode:
     """The analysed file of a module."""
-    return sources().of(path_of(module).read_bytes())
+    return _module(module).source
 
 
 class _Walk:
@@ -98,11 +99,18 @@ class _Walk:
                 self._load(self._loading.pop())
                 continue
             module, number = self._waiting.pop()
-            definition = _module(module).source.definitions[number]
-            for use in definition.uses:
-                self.name(module, *use.split("."))
-            for base, name in definition.reaches:
-                self.reference(_absolute(base, module), name)
+            for other, counted in _next(module, number, self._ours).items():
+                if self._enters(other):
+                    self._add(other, counted.definitions)
+                    self.found[other].imports.update(counted.imports)
+
+    def follow(self, module: str, number: int) -> None:
+        """The names in a definition."""
+        definition = _module(module).source.definitions[number]
+        for use in definition.uses:
+            self.name(module, *use.split("."))
+        for base, name in definition.reaches:
+            self.reference(_absolute(base, module), name)
 
     def _load(self, module: str) -> None:
         """The imports that importing a module causes."""
@@ -161,9 +169,18 @@ class _Walk:
         return True
 
     def _add(self, module: str, numbers: Iterable[int]) -> None:
-        new = set(numbers) - self.found[module].definitions
-        self.found[module].definitions.update(new)
+        known = self.found[module].definitions
+        new = [number for number in numbers if number not in known]
+        known.update(new)
         self._waiting += [(module, number) for number in new]
+
+
+@cache
+def _next(module: str, number: int, ours: frozenset[str]) -> dict[str, Counted]:
+    """What a definition names itself, by module: the same from whatever place the walk came."""
+    walk = _Walk(ours)
+    walk.follow(module, number)
+    return walk.found
 
 
 @dataclass(frozen=True)
@@ -187,7 +204,8 @@ class _Module:
 
 @cache
 def _module(module: str) -> _Module:
-    path, source, bound = path_of(module), source_of(module), dict[str, list[int]]()
+    path, bound = path_of(module), dict[str, list[int]]()
+    source = sources().of(path.read_bytes())
     for number, definition in enumerate(source.definitions):
         for name in definition.names:
             bound.setdefault(name, []).append(number)

@@ -16,7 +16,7 @@ from novags.cameras import parse_cameras
 from novags.methods import METHODS, chosen
 from novags.testbed.ledger.code import code_of, modules_of
 from novags.testbed.ledger.contents import jsonable
-from novags.testbed.ledger.reach import OUTSIDE, PACKAGES, reached
+from novags.testbed.ledger.reach import OUTSIDE, PACKAGES, reached, source_of
 from novags.testbed.stages.configs.capturing import CaptureConfig
 from novags.testbed.stages.configs.importing import ImportConfig
 from novags.testbed.stages.configs.reconstructing import ReconstructConfig
@@ -55,10 +55,10 @@ def edit(tmp_path_factory: pytest.TempPathFactory) -> Edit:
     """A function (file, text, another text, further files with theirs) -> the results that these changes make again."""
     root = tmp_path_factory.mktemp("sources")
     for package in PACKAGES:
-        shutil.copytree(ROOT / package, root / package, ignore=shutil.ignore_patterns("__pycache__"))
+        shutil.copytree(ROOT / package, root / package)  # with their bytecode
 
-    def keys() -> dict[str, str]:
-        environment = {**os.environ, "XDG_CACHE_HOME": str(root / "cache"), "PYTHONPATH": str(root)}
+    def keys(**more: str) -> dict[str, str]:
+        environment = {**os.environ, "XDG_CACHE_HOME": str(root / "cache"), "PYTHONPATH": str(root), **more}
         done = subprocess.run([sys.executable, "-c", KEYS], env=environment, cwd=root, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
         found: dict[str, str] = json.loads(done.stdout)
@@ -73,7 +73,7 @@ def edit(tmp_path_factory: pytest.TempPathFactory) -> Edit:
             assert content.count(text) == 1, f"{file} holds {text!r} {content.count(text)} times"
             (root / file).write_text(content.replace(text, other), "utf-8")
         try:
-            after = keys()
+            after = keys(PYTHONDONTWRITEBYTECODE="1")  # what is changed is put right within a second
         finally:
             for file, content in contents.items():
                 (root / file).write_text(content, "utf-8")
@@ -252,11 +252,16 @@ BESIDE = {  # the package
 }
 
 
+def _forget() -> None:
+    from novags.testbed.ledger import reach
+
+    for remembered in (reach._module, reach._next):
+        remembered.cache_clear()
+
+
 @pytest.fixture
 def tree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., dict[str, set[str]]]:
     """A function of modules of a small package -> the names that count, by module."""
-    from novags.testbed.ledger import reach
-
     (tmp_path / "small_tree").mkdir()
     for name, text in FILES.items():
         (tmp_path / "small_tree" / f"{name}.py").write_text(text)
@@ -264,18 +269,18 @@ def tree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., dict[
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text(text)
         monkeypatch.syspath_prepend(str((tmp_path / name).parent))
-    reach._module.cache_clear()
+    _forget()
 
     def names(*roots: str) -> dict[str, set[str]]:
-        found = reach.reached(f"small_tree.{root}" for root in roots)
-        held = {module: reach.source_of(module).definitions for module in found}
+        found = reached(f"small_tree.{root}" for root in roots)
+        held = {module: source_of(module).definitions for module in found}
         return {
             module.rpartition(".")[2]: {n for k in counted.definitions for n in held[module][k].names or ["-"]}
             for module, counted in found.items() if counted.definitions
         }  # fmt: skip
 
     yield names  # type: ignore[misc]
-    reach._module.cache_clear()
+    _forget()
     for name in [name for name in sys.modules if name.partition(".")[0] == "small_tree"]:
         del sys.modules[name]
 
