@@ -233,6 +233,11 @@ def _torch() -> None:
     torch.set_num_threads(1)
 
 
+def _networks() -> None:
+    _torch()
+    import torch._dynamo  # noqa: F401  # an optimiser loads it: here once, and not in each child
+
+
 def _enhancers() -> None:
     import torch
 
@@ -266,7 +271,7 @@ READERS = [
     Reader(
         "checkpoint of a fit", make_checkpoint, read_checkpoint, ("*.safetensors",), cut=("*",), share=8, prepare=_torch
     ),
-    Reader("checkpoint of a network", make_network, read_network, ("*.safetensors",), share=2, prepare=_torch),
+    Reader("checkpoint of a network", make_network, read_network, ("*.safetensors",), share=2, prepare=_networks),
     Reader("weights of enhancers", make_enhancer, read_enhancer, ("*.*",), cut=("*",), share=6, prepare=_enhancers),
     Reader("field", make_field, read_field, ("scene/*",), cut=("scene/*",), share=6, prepare=_scenes),
     Reader(
