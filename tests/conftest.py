@@ -4,7 +4,7 @@ import os
 import re
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -97,6 +97,21 @@ def call(monkeypatch: pytest.MonkeyPatch) -> Callable[..., int]:
         return 0
 
     return run
+
+
+@pytest.fixture
+def one_core() -> Iterator[None]:
+    """One core for this process and all that it starts: the threads of a study wait for each other on busy cores, and
+    spin meanwhile, so that it computes twice as long.
+    """
+    if not hasattr(os, "sched_setaffinity"):  # elsewhere than on Linux it takes as long as it takes
+        yield
+        return
+    cores = sorted(before := os.sched_getaffinity(0))
+    number = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
+    os.sched_setaffinity(0, {cores[number % len(cores)]})
+    yield
+    os.sched_setaffinity(0, before)
 
 
 BALL = """<scene version="3.0.0">
