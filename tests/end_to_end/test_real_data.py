@@ -25,6 +25,7 @@ denoiser.network.se_reduction = 2
 FEW = 'method = ["i2-nerf-truth", "nova", "gamma-gs", "drago-gs", "nova-16bit"]\n'
 
 
+@pytest.mark.usefixtures("one_core")
 def test_the_protocol_of_the_paper_runs_on_what_is_there_and_scores_against_lit_pictures(
     tmp_path: Path, call: Callable[..., int], capsys: pytest.CaptureFixture[str], quiet: Console
 ) -> None:
