@@ -177,7 +177,7 @@ class _Walk:
 
 @cache
 def _next(module: str, number: int, ours: frozenset[str]) -> dict[str, Counted]:
-    """What a definition names itself, by module: the same from whatever place the walk came."""
+    """The definitions and imports that one definition names itself, by module. They do not depend on the walk so far."""
     walk = _Walk(ours)
     walk.follow(module, number)
     return walk.found
