@@ -17,6 +17,7 @@ from simscenes.backend import COLORS, using_variant
 from simscenes.loading.checks.complete import check_complete
 from simscenes.loading.checks.meshes import check_faces, check_texture_coordinates
 from simscenes.loading.checks.physical import check_parameters, scene_extent
+from simscenes.loading.checks.transforms import check_shapes
 from simscenes.loading.checks.trial import check_survives
 from simscenes.loading.checks.untrusted import check_plugin, check_xml, searching_first, searching_only
 from simscenes.loading.checks.usable import raw_color, why_unusable
@@ -155,6 +156,7 @@ def load_here(source: SceneRef, mi: Any, *, allow_outside: bool = False) -> Load
     check_faces(params)
     check_texture_coordinates(loaded, mi)
     check_parameters(loaded, params, mi)
+    check_shapes(loaded, mi)
     painted = unique_materials(loaded, mi)  # includes shapes within groups, which get their names only here
     named = list(dict.fromkeys([*loaded.shapes(), *painted]))
     called = dict(zip(named, shape_names(named), strict=True))

@@ -17,6 +17,7 @@ from sensor_model.files.door import admitted, is_given, read_bytes, resolved
 from sensor_model.files.reading import brief
 from simscenes.loading.checks.complete import check_complete
 from simscenes.loading.checks.meshes import check_mesh_file
+from simscenes.loading.checks.transforms import check_axis
 from simscenes.sets.pictures.whole import whole_content
 
 MAX_TEXT = 64 << 20  # characters of all files together, parameters written out
@@ -50,7 +51,7 @@ def check_xml(
     Raises:
         ValueError: If the file is not XML or not UTF-8, declares entities, names a file outside its folder, sets a
             search path, asks for a plugin by a path, comes with plugins, lacks a part that a plugin needs, names a mesh
-            or picture file that is cut short, or is too large or too deep.
+            or picture file that is cut short, turns about an axis that is not of length 1, or is too large or too deep.
     """
     path = resolved(path)
     given = dict(parameters)
@@ -144,6 +145,8 @@ class _SceneReader:
             if "id" in attributes:
                 holder = attributes.get("as", "") if tag == "alias" else within
                 self.holds.setdefault(holder, []).append(attributes["id"])
+            if tag == "rotate":
+                check_axis(attributes, path)
             if tag == "default":
                 self._define(attributes.get("name", ""), attributes.get("value", ""), path)
             if not self.trusted and "type" in attributes:

@@ -11,6 +11,7 @@ import pytest
 from simscenes import Rig, fit_rig, load_set, render_set
 from simscenes.backend import activate
 from simscenes.loading.checks.physical import offset_share
+from simscenes.loading.checks.untrusted import check_xml
 from simscenes.loading.load import build_scene
 from simscenes.render.framing import own_rig
 from simscenes.rigs import intrinsics, look_at
@@ -173,6 +174,39 @@ def test_broken_scenes_are_refused_with_the_reason(reflectance: str, more: str, 
 def test_broken_dicts_are_refused_with_the_reason(scene: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         build_scene(scene, activate())
+
+
+@pytest.mark.parametrize(("axis", "length"), [('x="0.701" y="0.701" z="0.701"', "1.214"), ('value="1, 1, 0"', "1.414")])
+def test_a_turn_about_an_axis_of_another_length_would_stretch_and_is_refused(
+    axis: str, length: str, tmp_path: Path
+) -> None:
+    turned = '<shape type="cube"><transform name="to_world"><rotate {} angle="{}"/></transform></shape>'
+    with pytest.raises(ValueError, match=f"must be of length 1, got {length}"):
+        check_xml(write_scene(tmp_path, more=turned.format(axis, 30)))
+    for sound in (turned.format(axis, 360), turned.format('x="0.577" y="0.577" z="0.577"', 30), '<rotate z="-1"/>'):
+        check_xml(write_scene(tmp_path, more=sound))
+
+
+def test_shapes_that_mitsuba_takes_for_others_are_refused() -> None:
+    mi = activate()
+    transform, lamp = mi.ScalarTransform4f(), {"type": "area"}
+    long, tilted = transform.scale([2, 1, 1]), transform.rotate([1, 0, 0], 60)
+    cells = np.linspace(-1, 1, 4)[:, None, None, None] * np.ones((4, 4, 4, 1))
+    grid = {"type": "sdfgrid", "grid": mi.TensorXf(cells.astype(np.float32))}
+    for shape, message in (
+        ({"type": "sphere", "to_world": long}, "'egg' is a sphere that is stretched by 2, 1, 1"),
+        ({"type": "cylinder", "to_world": long, "emitter": lamp}, "'egg' is a lamp on a cylinder that is stretched"),
+        ({**grid, "to_world": tilted}, "'egg' is an 'sdfgrid' that is turned or mirrored"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            build_scene(ball(egg=shape), mi)
+    turned = tilted @ transform.scale([-2, 2, 2])  # a ball's mirror image is a ball
+    group = {"type": "shapegroup", "round": {"type": "sphere"}}
+    instance = {"type": "instance", "to_world": long, "group": {"type": "ref", "id": "group"}}
+    sound = {"tube": {"type": "cylinder", "to_world": long}, "grid": {**grid, "to_world": long},
+             "round": {"type": "sphere", "to_world": turned, "emitter": lamp}, "group": group, "egg": instance,
+             "lamp": {"type": "cylinder", "to_world": tilted.scale([1, 1, 9]), "emitter": lamp}}  # fmt: skip
+    assert len(build_scene(ball(**sound), mi).shapes) == 6
 
 
 def bitmap(mi: Any, value: float) -> dict[str, Any]:
