@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import hashlib
 import re
+import warnings
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,7 +21,7 @@ from simscenes.loading.checks.physical import check_parameters, scene_extent
 from simscenes.loading.checks.transforms import check_shapes
 from simscenes.loading.checks.trial import check_survives
 from simscenes.loading.checks.untrusted import check_plugin, check_xml, searching_first, searching_only
-from simscenes.loading.checks.usable import raw_color, why_unusable
+from simscenes.loading.checks.usable import masked_lamps, raw_color, why_unusable
 from simscenes.loading.contents import parameters_in, unique_materials
 from simscenes.loading.digest import content_digest
 from simscenes.loading.gltf.describe import described
@@ -157,6 +158,8 @@ def load_here(source: SceneRef, mi: Any, *, allow_outside: bool = False) -> Load
     check_texture_coordinates(loaded, mi)
     check_parameters(loaded, params, mi)
     check_shapes(loaded, mi)
+    for line in masked_lamps(loaded, mi):
+        warnings.warn(line, stacklevel=2)
     painted = unique_materials(loaded, mi)  # includes shapes within groups, which get their names only here
     named = list(dict.fromkeys([*loaded.shapes(), *painted]))
     called = dict(zip(named, shape_names(named), strict=True))

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from simscenes.loading.contents import class_of
+import numpy as np
+
+from simscenes.loading.contents import class_of, surfaces_in
 
 # Plugins that a path tracer cannot use, by class.
 UNUSABLE = {
@@ -59,6 +61,23 @@ def why_unusable(scene: Any, mi: Any) -> str:
             "picture is a colour"
         )
     return ""
+
+
+def masked_lamps(scene: Any, mi: Any) -> list[str]:
+    """A warning about each lamp with an opacity below 1: Mitsuba heeds that where a camera looks at it, and nowhere
+    else.
+    """
+    found = []
+    for shape in surfaces_in(scene, mi):
+        if shape.emitter() is None or shape.bsdf() is None or class_of(shape.bsdf()) != "MaskBSDF":
+            continue
+        params = mi.traverse(shape.bsdf())
+        keys = (key for key in params.keys() if key.startswith("opacity.") and not key.endswith(".to_uv"))
+        if any(np.array(params[key]).min() < 1 for key in keys):
+            found.append(f"the lamp {shape.id() or shape.class_name()!r} has an opacity (in glTF an alpha) below 1: "
+                         "Mitsuba shows it so to the camera, and lights all else as if it were whole. Cut the holes "
+                         "into its mesh, or let only the whole parts shine")  # fmt: skip
+    return found
 
 
 def raw_color(scene: Any, mi: Any) -> str:

@@ -1,5 +1,6 @@
 """Faults that Mitsuba's wide variants answer with 0 or a wrong place; and mirrored shapes, which are none."""
 
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -129,6 +130,16 @@ def test_a_lamp_of_colours_of_its_mesh_is_refused_since_it_would_light_nothing_r
     lamp = f'<string name="filename" value="m.ply"/><emitter type="area">{radiance}</emitter>'
     with pytest.raises(ValueError, match="a lamp whose radiance is a 'mesh_attribute'.* is too dark"):
         build_scene(scene(tmp_path, f'<shape type="ply">{lamp}</shape>'), activate())
+
+
+@pytest.mark.parametrize("opacity", [0.5, 1.0])
+def test_a_lamp_with_holes_is_said_to_light_all_else_as_if_it_had_none(opacity: float, tmp_path: Path) -> None:
+    lamp = (f'<shape type="rectangle" id="sign"><bsdf type="mask"><float name="opacity" value="{opacity}"/><bsdf '
+            'type="diffuse"/></bsdf><emitter type="area"/></shape>')  # fmt: skip
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        build_scene(scene(tmp_path, lamp), activate())
+    assert [str(line.message)[:42] for line in said] == ["the lamp 'sign' has an opacity (in glTF an"] * (opacity < 1)
 
 
 def test_colours_of_eight_bits_are_refused_with_the_likely_cause(tmp_path: Path) -> None:
