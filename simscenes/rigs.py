@@ -17,6 +17,7 @@ Float = NDArray[np.float64]
 
 # Float32 poses from other tools round to 1e-6; a scaled or mirrored pose is off by far more.
 MAX_ROTATION_ERROR = 1e-4
+MAX_SKEW = 1e-6  # of the focal length: rounding
 TEST_EVERY = 8  # gsplat, mip-NeRF 360 and LLFF loaders hold out every 8th sorted view, starting at the first
 
 _OPENCV_TO_MITSUBA = np.diag([-1.0, -1.0, 1.0, 1.0])
@@ -34,7 +35,8 @@ class Rig:
         height: Image height in pixels.
 
     Raises:
-        ValueError: If a shape is wrong, a value is not finite, a pose is not rigid or a focal length is not positive.
+        ValueError: If a shape is wrong, a value is not finite, a pose is not rigid, a focal length is not positive or
+            intrinsics are not of a pinhole without skew.
     """
 
     viewmats: Float
@@ -44,7 +46,7 @@ class Rig:
 
     def __post_init__(self) -> None:
         viewmats = np.array(self.viewmats, dtype=np.float64)
-        Ks = np.array(self.Ks, dtype=np.float64)
+        Ks = np.array(self.Ks, dtype=np.float64) + 0.0  # -0 becomes 0: equal intrinsics have equal bytes
         if viewmats.ndim != 3 or viewmats.shape[1:] != (4, 4) or Ks.shape != (len(viewmats), 3, 3):
             raise ValueError(f"Rig: viewmats must be [C,4,4] and Ks [C,3,3], got {viewmats.shape} and {Ks.shape}")
         if self.width < 1 or self.height < 1:
@@ -54,8 +56,14 @@ class Rig:
         if not (error := rotation_error(viewmats[:, :3, :3])) <= MAX_ROTATION_ERROR:
             raise ValueError(f"Rig: every viewmat must be a rotation and a translation (no scale, no mirror); "
                              f"R R^T differs from the identity by {error:.3g}")  # fmt: skip
+        if np.abs(viewmats[:, 3] - [0, 0, 0, 1]).max(initial=0.0) > MAX_ROTATION_ERROR:
+            raise ValueError("Rig: every viewmat must end in the row 0 0 0 1, from world to camera; is it transposed?")
         if (Ks[:, [0, 1], [0, 1]] <= 0).any():
             raise ValueError("Rig: focal lengths Ks[:,0,0] and Ks[:,1,1] must be > 0 pixels")
+        fixed = np.abs(Ks[:, [0, 1, 2, 2, 2], [1, 0, 0, 1, 2]] - [0, 0, 0, 0, 1])
+        if (odd := (fixed > MAX_SKEW * Ks[:, 0, :1]).any(1)).any():
+            raise ValueError(f"Rig: Ks must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], without skew, got "
+                             f"{Ks[odd.argmax()].tolist()}; is it transposed?")  # fmt: skip
         viewmats.setflags(write=False)
         Ks.setflags(write=False)
         object.__setattr__(self, "viewmats", viewmats)

@@ -1,6 +1,9 @@
 """Camera conventions, checked against each other and against Mitsuba's own sensor."""
 
+from pathlib import Path
+
 import numpy as np
+import pycolmap
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -10,6 +13,7 @@ from simscenes import backend, rigs
 from simscenes.loading.load import build_scene
 from simscenes.render.sensors import sensor_dict
 from simscenes.rigs import Rig, forward_rig, look_at, orbit_rig
+from simscenes.sets.writers.camera_files import write_cameras
 
 finite = st.floats(-50, 50)
 
@@ -128,12 +132,22 @@ def test_one_view_is_enough_for_either_rig() -> None:
         ({"viewmats": np.full((1, 4, 4), np.nan)}, "finite"),
         ({"Ks": np.diag([-5.0, 5, 1])[None]}, "focal"),
         ({"width": 0}, "width"),
+        ({"viewmats": np.eye(4)[None] + np.diag([0.0, 0.0, 3.0], -1)}, "0 0 0 1.*transposed"),
+        ({"Ks": rigs.intrinsics(8, 8, 60).T[None]}, "transposed"),
+        ({"Ks": rigs.intrinsics(8, 8, 60)[None] + np.diag([0.5, 0.0], 1)}, "without skew"),
     ],
 )
 def test_impossible_cameras_are_refused(change: dict, message: str) -> None:
     good = {"viewmats": np.eye(4)[None], "Ks": rigs.intrinsics(8, 8, 60)[None], "width": 8, "height": 8}
     with pytest.raises(ValueError, match=message):
         Rig(**{**good, **change})
+
+
+def test_intrinsics_that_differ_by_the_sign_of_zero_are_one_camera(tmp_path: Path) -> None:
+    Ks = np.stack([rigs.intrinsics(8, 8, 60)] * 2)
+    Ks[1, 0, 1] = -0.0
+    write_cameras(tmp_path, ["a", "b"], Rig(viewmats=np.stack([np.eye(4)] * 2), Ks=Ks, width=8, height=8))
+    assert len(pycolmap.Reconstruction(str(tmp_path / "sparse" / "0")).cameras) == 1
 
 
 def test_rig_arrays_cannot_be_changed_behind_its_back() -> None:
