@@ -252,7 +252,8 @@ def reconstruct(
         if kept != [False]:  # whether a run that is not there yet will hold Gaussians is seen then
             check_viewers(out, export)
         planned(console, "viewers", viewer_files(out, export))
-        write_viewers(out, export)
+        if other := write_viewers(out, export):
+            console.warn(other)
         say(out)
         next_(f"novags score {typed(out)} && novags report {typed(out)}")
 

@@ -34,19 +34,23 @@ def viewer_files(folder: Path, formats: Sequence[str]) -> list[Path]:
     return [folder / VIEWERS / file for name in formats for file in FILES[name]]
 
 
-def write_viewers(folder: Path, formats: Sequence[str]) -> None:
+def write_viewers(folder: Path, formats: Sequence[str]) -> str:
     """Write the Gaussians of a finished run for the viewers of others.
 
     Args:
         folder: Of the run.
         formats: "3dgs" (.ply of degree 3, with cameras.json), "splat", "spz", "spz2" (for readers of version 2 alone).
 
+    Returns:
+        Why viewers show other colours than the pictures of the run, for the user; "" where they show these.
+
     Raises:
         ValueError: If the method has not made Gaussians, or a format cannot hold them.
     """
     check_viewers(folder, formats)
     if not formats:
-        return
+        return ""
+    record = read_json(folder / RECORD)
     gaussians, out = read_ply(folder / SCENE), folder / VIEWERS
     if "3dgs" in formats:
         write_ply(out / SCENE, gaussians, sh_degree=3)
@@ -57,5 +61,9 @@ def write_viewers(folder: Path, formats: Sequence[str]) -> None:
         write_splat(out / "scene.splat", gaussians)
     for name, file, version in (("spz", "scene.spz", 3), ("spz2", "scene-v2.spz", 2)):
         if name in formats:
-            antialiased = bool(read_json(folder / RECORD).get("antialiased"))
-            write_spz(out / file, gaussians, version=version, antialiased=antialiased)
+            write_spz(out / file, gaussians, version=version, antialiased=bool(record.get("antialiased")))
+    light = record.get("response") is not None or (record.get("space") == "linear" and record.get("tone") is None)
+    return "" if not light else (
+        f"the Gaussians of {folder} hold light, which viewers of others take for sRGB code: they look darker there "
+        "than in the pictures of the run, which novags view shows"
+    )  # fmt: skip

@@ -55,3 +55,20 @@ def test_formats_are_written_beside_the_run_on_request(tmp_path):
     assert viewer_files(tmp_path, ("splat", "3dgs")) == [
         out / "scene.splat", out / "point_cloud.ply", out / "cameras.json"
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("facts", "light"),
+    [
+        ({"space": "linear"}, True),
+        ({"space": "linear", "tone": {"top": 1.0, "k": 0.1}}, False),
+        ({"space": "enhanced"}, False),
+        ({"space": "enhanced", "response": {"values": [0.0, 1.0]}}, True),
+    ],
+)
+def test_gaussians_that_hold_light_are_said_to_look_darker_elsewhere(tmp_path, facts, light):
+    write_ply(tmp_path / "point_cloud.ply", Gaussians.from_points(torch.rand(6, 3), torch.rand(6, 3), sh_degree=0))
+    (tmp_path / "run.json").write_text(json.dumps(facts))
+    said = write_viewers(tmp_path, ("splat",))
+    assert ("hold light, which viewers of others take for sRGB code" in said) == light
+    assert bool(said) == light
