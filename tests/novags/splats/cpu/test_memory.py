@@ -1,4 +1,4 @@
-"""The memory of the rasteriser: what a pass takes, and that nothing else grows with the Gaussians."""
+"""The memory of the rasteriser: what a pass takes, that nothing else grows with the Gaussians, and waves of lists."""
 
 import tracemalloc
 
@@ -57,3 +57,29 @@ def test_nothing_per_gaussian_is_allocated_outside_the_recycler(make_scene):
             peaks.append(tracemalloc.get_traced_memory()[1])
             tracemalloc.stop()
     assert peaks[5] - peaks[2] < 30_000  # a byte per Gaussian
+
+
+def test_many_channels_over_several_waves_match_the_reference(make_scene, monkeypatch):
+    """Lists are made in waves of 1,024 Gaussians and twice as many each time; each four channels walk through all."""
+    frames, forward = [], pipeline.forward
+    monkeypatch.setattr(pipeline, "forward", lambda *arguments: frames.append(forward(*arguments)) or frames[-1])
+    monkeypatch.setattr(pipeline, "WAVE", 1)
+    scene = make_scene(10, 8000, 20, 18)
+    scene["opacities"] = (0.02 * scene["opacities"] + 0.004).float().double()
+    g = torch.Generator().manual_seed(3)
+    scene["colors"] = torch.rand(8000, 9, generator=g).double()
+    weights = torch.randn(1, 18, 20, 10, generator=g).double()
+    names = ["means", "quats", "scales", "opacities", "colors", "viewmats"]
+    results = []
+    for backend, dtype in (("torch", torch.float64), ("numba", torch.float32)):
+        arguments = {k: v.clone().to(dtype) if isinstance(v, torch.Tensor) else v for k, v in scene.items()}
+        for name in names:
+            arguments[name].requires_grad_()
+        image, _, _ = rasterize(**arguments, render_mode="RGB+D", backend=backend)
+        (image * weights.to(dtype)).sum().backward()
+        results.append([image.detach().double(), *(arguments[name].grad.double() for name in names)])
+    assert len(frames[0][0].waves) >= 3
+    assert len(frames[0][0].passes) == 3
+    for got, expected in zip(*results[::-1], strict=True):
+        # a few of these faint Gaussians tip over the alpha threshold
+        torch.testing.assert_close(got, expected, rtol=1e-3, atol=1e-2 * float(expected.abs().max()))

@@ -87,6 +87,23 @@ def test_gradients_of_the_reference_equal_finite_differences(make_scene, sh_degr
     assert torch.autograd.gradcheck(render, (*inputs, background), eps=1e-7, atol=1e-5, rtol=1e-4)
 
 
+def test_a_gaussian_amid_an_even_loss_has_no_gradient_on_the_screen_but_one_of_its_magnitudes(make_scene):
+    """Expectation: what its left half gains its right half loses; the sum of magnitudes is of both."""
+    scene = make_scene(0, 1, 33, 33, sh_degree=None)
+    scene |= {"means": torch.zeros(1, 3).double(), "scales": torch.full((1, 3), 0.1).double()}
+    scene["viewmats"] = torch.eye(4).double()[None].clone()
+    scene["viewmats"][0, 2, 3] = 3.0
+    scene["Ks"] = torch.tensor([[[33.0, 0, 16.5], [0, 33, 16.5], [0, 0, 1]]]).double()
+    scene["means"].requires_grad_()
+    image, _, info = rasterize(**scene, absgrad=True, packed=False, backend="torch")
+    centre = info["means2d"]
+    centre.retain_grad()
+    image.sum().backward()
+    assert centre.absgrad.shape == centre.grad.shape == (1, 1, 2)
+    assert float(centre.absgrad.min()) > 0.01
+    assert float(centre.grad.abs().max()) < 1e-9 * float(centre.absgrad.min())
+
+
 def test_projection_of_a_far_sphere_is_a_circle_of_the_right_size():
     z, s, f = 100.0, 0.5, 400.0
     one = torch.ones(1, 3, dtype=torch.float64)
