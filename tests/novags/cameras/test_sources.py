@@ -165,7 +165,7 @@ def test_each_configuration_runs_its_source_on_the_views_that_are_asked_for(monk
     for name, source in SOURCES.items():
         record = replace(source, estimate=lambda *a, name=name, **k: calls.append((name, a, k)))
         monkeypatch.setitem(SOURCES, name, record)
-    Ks = np.arange(1.0, 6.0)[:, None, None] * np.eye(3)
+    Ks = np.stack([np.diag([focal, focal, 1.0]) for focal in range(1, 6)])
     multiview = SimpleNamespace(rig=Rig(viewmats=np.tile(np.eye(4), (5, 1, 1)), Ks=Ks, width=2, height=2))
     dark = torch.tensor([0.0, 1 / 255, 0.5, 1.0]).reshape(1, 2, 2, 1).repeat(2, 1, 1, 3)
     shared, file = {"n_points": 7, "seed": 3}, Path("w.pt")
