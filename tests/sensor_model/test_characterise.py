@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sensor_model import PRESETS, Exposure, Stack, characterise, expose, read_sensor, write_sensor
-from sensor_model.characterisation import _straightened, noise_parts
+from sensor_model.characterisation import Characterisation, _straightened, noise_parts
 
 SIDE, FULL, RATE, ETA = 160, 8000, 40_000.0, 0.6  # px, e-, e-/s, e- per photon
 TRUE = {"gain": 2.0, "sigma_d": 3.0, "dark_current": 50.0, "prnu": 0.01, "dsnu": 1.0, "black_level": 100.0}
@@ -211,3 +211,19 @@ def test_noise_of_rows_is_that_of_all_dark_stacks() -> None:
     stacks = [Stack(stack(0.0, 0.01, 20, seed, row=row, dark=0.0), 0.01) for seed, row in enumerate((3.0, 0.0))]
     for order in (stacks, stacks[::-1]):
         assert noise_parts(order, 100.0)[0] == pytest.approx(18.0, rel=0.15)
+
+
+def test_a_gain_that_is_known_better_turns_all_electrons_with_it_and_no_code() -> None:
+    """Rationale: codes were measured; what is in electrons is theirs over the gain."""
+    found = Characterisation(
+        gain=2.0, eta=0.5, sigma_d=3.0, sigma_row=0.4, sigma_column=0.2, black_level=100.0, dark_current=0.7, dsnu=1.5,
+        prnu=0.01, hot_fraction=0.001, hot_factor=20.0, mu_e_sat=8000.0, nonlinearity=0.02, linearity_error=0.01,
+    )  # fmt: skip
+    better = found.at_gain(2.5)
+    assert better.gain == 2.5
+    for name in ("sigma_d", "sigma_row", "sigma_column", "dark_current", "dsnu", "mu_e_sat", "eta"):
+        assert getattr(better, name) == pytest.approx(getattr(found, name) * 2.0 / 2.5, rel=1e-12), name
+    for name in ("black_level", "prnu", "hot_fraction", "hot_factor", "nonlinearity", "linearity_error"):
+        assert getattr(better, name) == getattr(found, name), name
+    unknown = replace(found, eta=None, mu_e_sat=None).at_gain(2.5)
+    assert (unknown.eta, unknown.mu_e_sat) == (None, None)

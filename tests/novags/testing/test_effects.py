@@ -105,6 +105,8 @@ def test_rounding_where_nothing_is_random_is_no_mistake() -> None:
     large = effect(0.0, mean=lambda *_: 1e9, sample=lambda *_: np.nextafter(1e9, 2e9), variance=lambda *_: 0.0,
                    cost=lambda signal, *_: (0 * signal, 1e9 + 0 * signal))  # fmt: skip
     assert_effect(large, signals=(0.0,), frames=FRAMES)
+    with pytest.raises(AssertionError, match="the mean at 0 e- is not as stated: samples differ by 1e"):
+        assert_effect(replace(large, sample=lambda *_: 1e9 + 1e3), signals=(0.0,), frames=FRAMES)  # a millionth
     half = ROWS > 0.5
     jumps = replace(
         large, mean=lambda *_: 0.0, variance=lambda *_: 1.21 * half,
