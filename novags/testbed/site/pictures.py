@@ -54,6 +54,6 @@ def _shots(place: Place, album: Album) -> Iterator[tuple[str, SitePicture]]:
         yield TRUTH, SitePicture(album.add(shown(truths[kind], kind), exact=False), label, note)
     for method, run in place.runs.items():
         if run.shows(name):
-            note = render_note(place.metrics["methods"][method]["views"].get(name), True)
+            note = render_note(place, method, name)
             picture = album.add(pictured(run, capture, run.rendering(name)), exact=False)
             yield f"render-{method}", SitePicture(picture, method, note)

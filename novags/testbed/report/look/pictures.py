@@ -13,6 +13,7 @@ from novags.testbed.report.look.album import Album, Picture, Script
 from novags.testbed.report.look.maps import depth_map, error_map, normal_map, normals_of_depth
 from novags.testbed.report.look.probe import probe_of
 from novags.testbed.report.place import Place
+from novags.testbed.report.verdict import leading
 from simscenes.sets.pictures.png import read_png
 
 TRUTHS = {
@@ -27,6 +28,7 @@ LONG = {  # of imported photographs
     "linear": ("Truth: dark long exposure", "brought to the light of the dark one, not enhanced"),
 }
 COLUMNS = ("render", "error", "depth", "normal")  # of the pictures of every method, side by side
+PSNRS = {"aligned_psnr": "aligned", "linear_psnr": "linear", "tone_aligned_psnr": "tone-aligned"}
 WORDS = {"enhanced": "noise-free", "linear": "noise-free", "lit": "well-lit"}
 
 
@@ -125,9 +127,9 @@ def _add_renders(tiles: _Tiles, i: int, place: Place, runs: Mapping[str, Run], h
     capture, name, shows = place.capture, place.capture.names[i], dict[str, np.ndarray]()
     light = {other: run.rendering(name) for other, run in runs.items()}
     for other, run in runs.items():
-        scores = place.metrics["methods"][other]["views"].get(name) if held_out else None
         shows[other] = pictured(run, capture, light[other])
-        tiles.add(f"render-{other}", other, render_note(scores, held_out), shows[other])
+        note = render_note(place, other, name) if held_out else "training view"
+        tiles.add(f"render-{other}", other, note, shows[other])
     for other, exposures in ((other, found) for other, found in place.exposures.items() if other in runs):
         of = {"dark": (exposures.dark, "dark input"), "lit": (exposures.lit, "well-lit truth")}
         for kind, (gain, what) in of.items():
@@ -149,17 +151,15 @@ def shown(image: np.ndarray, kind: str) -> np.ndarray:
     return encode(image) if kind in LINEAR else image
 
 
-def render_note(scores: Mapping[str, Any] | None, held_out: bool) -> str:
-    """What the caption of a render says: whether the view is held out, and one of its scores by reference."""
-    if not held_out:
-        return "training view"
-    first = next(iter((scores or {}).values()), None)
-    if first is None:
+def render_note(place: Place, name: str, view: str) -> str:
+    """What the caption of a render of a held-out view says: its score by which the runs of the place compare."""
+    scores = place.metrics["methods"][name]["views"].get(view)
+    if not scores:
         return "not scored, because no truth is known"
-    number = first.get("aligned_psnr", first.get("linear_psnr"))
-    if number is None:
-        return "not scored, because the reference shows nothing"
-    return f"{'aligned ' if 'aligned_psnr' in first else 'linear '}PSNR {number:.1f} dB"
+    kind, main, _ = leading(place) or (next(iter(scores)), "aligned_psnr", "")
+    own = scores.get(kind) or next(iter(scores.values()))
+    key = next((key for key in (main, *PSNRS) if own.get(key) is not None), None)
+    return "not scored, because the reference shows nothing" if key is None else f"{PSNRS[key]} PSNR {own[key]:.1f} dB"
 
 
 def _add_error(tiles: _Tiles, name: str, image: np.ndarray, truths: Mapping[str, np.ndarray]) -> None:

@@ -50,8 +50,9 @@ def opener(folder: Path, renders: dict[str, int], dark: int | None, lit: int | N
         source: Any = SimpleNamespace(
             lit_known=lit is not None, shows=lambda i: True, lit=lambda i: grey((0, lit or 0)[i])
         )
-        scores = {method: {"views": {HELD_OUT: {"lit": {"aligned_psnr": code / 10}}}}
-                  for method, code in renders.items()}  # fmt: skip
+        known = {method: {"lit": {"aligned_psnr": 1.0, "tone_aligned_psnr": code / 10}}
+                 for method, code in renders.items()}  # fmt: skip
+        scores = {method: {"mean": own, "views": {HELD_OUT: own}} for method, own in known.items()}
         return Place(capture, source, runs, {"methods": scores}, [1])
 
     return opened
@@ -107,7 +108,7 @@ def test_a_picture_says_what_it_shows(tmp_path: Path) -> None:
     said = [(shot.label, shot.note) for key in (DARK, TRUTH, "render") if (shot := of_entry(shots, entry, key))]
     assert said == [
         ("Dark input", "what the camera delivers"), ("Truth: well lit", "the scene in good light"),
-        ("better", "aligned PSNR 10.0 dB"),
+        ("better", "tone-aligned PSNR 10.0 dB"),
     ]  # fmt: skip
 
 

@@ -11,7 +11,7 @@ from novags.methods.problem import encode
 from novags.testbed.folders.exposures import Exposures
 from novags.testbed.report.look import pictures as module
 from novags.testbed.report.look.album import Album
-from novags.testbed.report.look.pictures import Tile, ViewTiles, _add_geometry, _add_renders, _Tiles
+from novags.testbed.report.look.pictures import Tile, ViewTiles, _add_geometry, _add_renders, _Tiles, render_note
 
 SHAPE = (4, 5)
 LIGHT = {name: np.random.default_rng(k).uniform(0.05, 0.2, (*SHAPE, 3)) for k, name in enumerate("ab")}
@@ -53,6 +53,32 @@ def test_the_light_of_every_run_is_shown_at_the_exposures_of_the_dark_and_of_the
         np.testing.assert_allclose(tiles.images[key], encode(gain * LIGHT[name]), atol=1e-6)
     for name in "ab":
         np.testing.assert_allclose(tiles.images[f"render-{name}"], encode(LIGHT[name]), atol=1e-6)
+
+
+@pytest.mark.parametrize(("tones", "wanted"), [
+    ("one", {"a": "aligned PSNR 21.0 dB", "b": "aligned PSNR 22.0 dB", "c": "not scored, because no truth is known"}),
+    ("two", {"a": "tone-aligned PSNR 19.0 dB", "b": "tone-aligned PSNR 18.0 dB"}),
+    ("none of b", {"a": "tone-aligned PSNR 19.0 dB", "b": "tone-aligned PSNR 18.0 dB"}),
+])  # fmt: skip
+def test_captions_name_one_score_of_all_methods_that_compares_them(tones: str, wanted: dict[str, str]) -> None:
+    own = {
+        "a": {"enhanced": {"aligned_psnr": 21.0}, "lit": {"aligned_psnr": 15.0, "tone_aligned_psnr": 19.0}},
+        "b": {"enhanced": {"aligned_psnr": 22.0}, "lit": {"aligned_psnr": 20.0, "tone_aligned_psnr": 18.0}},
+    }
+    if tones == "none of b":
+        del own["b"]["enhanced"]  # as of a method that ends in good light
+    methods = {name: {"mean": each, "views": {"0000": each}} for name, each in own.items()}
+    place: Any = SimpleNamespace(one_reference=tones == "one", metrics={"methods": methods})
+    methods["c"] = {"mean": own["a"], "views": {}}
+    assert {name: render_note(place, name, "0000") for name in wanted} == wanted
+
+
+def test_a_caption_without_a_score_of_all_methods_names_its_own() -> None:
+    own = {"a": {"linear": {"linear_psnr": 31.0}}, "b": {"enhanced": {"aligned_psnr": None}}}
+    methods = {name: {"mean": each, "views": {"0000": each}} for name, each in own.items()}
+    place: Any = SimpleNamespace(one_reference=False, metrics={"methods": methods})
+    assert render_note(place, "a", "0000") == "linear PSNR 31.0 dB"
+    assert render_note(place, "b", "0000") == "not scored, because the reference shows nothing"
 
 
 def test_depths_of_all_runs_are_in_the_unit_of_the_truth(tiles: Any) -> None:
