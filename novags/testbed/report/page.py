@@ -81,8 +81,8 @@ def ranking_of(folder: Path) -> list[str]:
     path = folder / REPORT
     study = is_study(folder)
     found = study_material(folder, path) if study else material_of(places_in([folder], Console(quiet=True)), path)
-    table = ranking.ranking(found).get("table")
-    return [] if table is None else plain(table)
+    shown = ranking.ranking(found)
+    return [*plain(shown["table"]), *filter(None, [shown["legend"]])] if shown else []
 
 
 def write_reports(

@@ -123,8 +123,8 @@ def _study(site: Site, study: SiteStudy, console: Console) -> list[str]:
     for file in study.files:
         write_text(site.folder / place / file.name, read_text(file))
         made.append((place / file.name).as_posix())
-    if (table := ranking(study.material).get("table")) is not None:
-        write_text(site.folder / place / RANKING, latex(table))
+    if shown := ranking(study.material):
+        write_text(site.folder / place / RANKING, latex(shown["table"]) + f"% {shown['legend']}\n")
         made.append((place / RANKING).as_posix())
     return made
 

@@ -23,6 +23,7 @@ from novags.testbed.study.light import ELECTRONS, SEED
 
 SECONDS = "seconds.reconstruct"
 FEWER = Markup("{} <small>({} scenes)</small>")
+BEHIND = "A method stands behind each one that is seen to be better; equal places share a colour."
 PANELS = 24  # small charts: of more places nobody compares all
 TALL, WIDE = 230, 420  # px of a chart; as wide as a telephone, so that its letters keep their size there
 
@@ -46,15 +47,18 @@ class Pivot:
 
 
 def ranking(material: Material) -> dict[str, Any]:
-    """The table, the chart, and what to know of both; {} where nothing is scored."""
+    """The table, the chart, what to know of both, and of the table without colours; {} where nothing is scored."""
     if material.one is not None:
         return _of_one(material, material.one)
     if (found := pivot(material)) is None:
         return {}
+    over = f"mean over {len(found.scenes)} scenes" if len(found.scenes) > 1 else "mean over seeds and views"
+    legend = f"{found.heading}, {over}; ± is its standard error, of one scene over its seeds and views."
     return {
         "table": pivot_table(found, material),
         "chart": _chart_of_many(found, material),
-        "said": _said(found, material),
+        "said": f"{legend} {BEHIND}{_bounds(material.looks)}",
+        "legend": legend + _bounds(material.looks),
     }
 
 
@@ -72,7 +76,7 @@ def _of_one(material: Material, place: Place) -> dict[str, Any]:
     points = {name: (seconds[name], each) for name, each in known.items() if name in seconds}
     said = "± is the standard error of the difference. Equal places (=): no difference is seen." + _bounds(place.rows)
     chart = over_time([(f"dB over {base}", points)], place.rows)[0] if over else ""
-    return {"table": table, "chart": chart, "said": said if over else ""}
+    return {"table": table, "chart": chart, "said": said if over else "", "legend": said if over else ""}
 
 
 def pivot(material: Material) -> Pivot | None:
@@ -162,13 +166,6 @@ def _cell(values: Values | None, ranks: Mapping[str, int], name: str, digits: in
     beside = {"error": known.error, "scenes": fewer or None}
     said = FEWER.format(said, fewer) if fewer else said
     return num(known.value, said, rank=rank, beside=beside, best=rank == 1 and max(ranks.values()) > 1)
-
-
-def _said(found: Pivot, material: Material) -> str:
-    over = f"mean over {len(found.scenes)} scenes" if len(found.scenes) > 1 else "mean over seeds and views"
-    said = (f"{found.heading}, {over}; ± is its standard error, of one scene over its seeds and views. A method stands "
-            "behind each one that is seen to be better; equal places share a colour.")  # fmt: skip
-    return said + _bounds(material.looks)
 
 
 def _bounds(rows: Mapping[str, Row]) -> str:

@@ -278,6 +278,7 @@ def test_the_tables_of_each_study_lie_there_as_csv_and_latex(site: Path, folders
         told = (place / "ranking.tex").read_text()
         assert told.startswith("\\begin{tabular}{")
         assert method in told
+        assert "± is " in told.splitlines()[-1].removeprefix("% ")
 
 
 def test_a_second_site_replaces_all_files_of_the_first_and_nothing_else(

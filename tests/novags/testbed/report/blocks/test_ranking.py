@@ -344,4 +344,6 @@ def test_a_study_ends_with_the_ranking_and_the_next_command(
     study._conduct(plan, out, tmp_path / "store", None, None, False, False, False)  # type: ignore[arg-type]
     said = capsys.readouterr()
     assert lines_said(said.out) == RANKED
+    assert said.out.splitlines()[-2].startswith("PSNR aligned, noise-free, mean over seeds and views; ± is ")
+    assert said.out.splitlines()[-2].endswith(" † sees the truth: a bound and no rival.")
     assert said.err.splitlines()[-1] == f"next: novags report {out}"
