@@ -30,6 +30,7 @@ from sensor_model.files.reading import brief
 GROUPS = tuple(f"novags.{table}" for table in ("methods", "enhancers", "cameras", "scenes", "metrics", "effects"))
 VARIABLE = "NOVAGS_PLUGINS"  # tells a worker the files of its parent by content, and which packages must be there
 LARGEST = 90_000  # bytes of all files, packed: Linux takes variables of 128 KiB
+OWN_MODULES = "; modules of yours must be installed, or in a folder on PYTHONPATH that is not the working directory"
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,99}")  # of a row: it is part of names of folders
 
 
@@ -154,6 +155,7 @@ def _load(path: Path, content: bytes) -> None:
     except Exception as error:
         del sys.modules[module]
         said = brief(error, 200) if isinstance(error, ValueError) else f"{type(error).__name__}: {brief(error, 200)}"
+        said += OWN_MODULES * isinstance(error, ModuleNotFoundError)
         raise ValueError(f"the plugin {path} cannot be used: {said}") from error
     _files[module] = (path, content, plugin)
 
