@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar, overload
 
@@ -31,7 +31,7 @@ class StudyResults:
 
     path: Path
     axes: Mapping[str, list[Any]]
-    rows: tuple[Mapping[str, Any], ...]
+    rows: tuple[Mapping[str, Any], ...] = field(repr=False)
 
     def runs(self, **values: Any) -> Iterator[tuple[Mapping[str, Any], Run]]:
         """Its finished runs, each with its row, in the order of the table.

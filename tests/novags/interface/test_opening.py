@@ -48,6 +48,7 @@ def test_a_folder_of_results_is_a_study_and_a_file_or_an_empty_folder_is_nothing
     study: StudyResults, tmp_path: Path
 ) -> None:
     assert opening.open(tmp_path, StudyResults) == study
+    assert "rows" not in repr(study)  # a notebook shows no thousand numbers
     with pytest.raises(ValueError, match="no such folder"):
         opening.open(tmp_path / "results.json")
     (tmp_path / "empty").mkdir()
