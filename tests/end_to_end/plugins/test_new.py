@@ -25,6 +25,7 @@ def test_the_file_is_the_one_of_its_page_with_a_line_that_makes_it_a_plugin(kind
     page = (DOCS / f"{PAGES[kind]}.md").read_text(encoding="utf-8")
     code = re.findall(r"```python\n(.*?)```", page, flags=re.S)[0]
     assert re.fullmatch(re.escape(code) + r"\nPLUGIN = \{.*\}\n", template(kind))
+    assert "this page" not in code
     assert f"`novags new {kind} " in page
 
 
