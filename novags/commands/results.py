@@ -146,7 +146,8 @@ def verify(
     """Make some of somebody's runs again from their records, stage by stage, and say what differs.
 
     Sets, captures, runs and scores are each made from the inputs that the record names, so that a difference is of this
-    stage alone. Exit code 3: something differs, or could not be made again.
+    stage alone; the tables of a study from the scores of all its runs. Exit code 3: something differs, or could not be
+    made again.
 
     Args:
         runs: Folders of runs, of experiments, of studies, or folders that hold such.
@@ -158,10 +159,13 @@ def verify(
     """
     from novags.numbers import check_range
     from novags.settings import check_seed
+    from novags.testbed.folders.runs import studies_in
     from novags.testbed.ledger.dry import planned
     from novags.testbed.stages.explaining.verifying import RECORD, chosen_runs
     from novags.testbed.stages.explaining.verifying import verify as make_again
     from novags.testbed.study.engines.progress import duration
+    from novags.testbed.study.results import tables_again
+    from simscenes.sets.names import safe_name
 
     check_range("count", count, 1, 100_000)
     check_seed(seed)
@@ -170,7 +174,9 @@ def verify(
         for name, run in chosen.items():
             console.note(f"verify: {name} in {run.path}: its fit took {duration(run.record['stage']['seconds'])}")
         planned(console, "verify", [out / RECORD])
-        parts = make_again(chosen, out, console)
+        tables = [tables_again(study, out / "tables" / f"{number}-{safe_name(study.name)}")
+                  for number, study in enumerate(studies_in(runs), 1)]  # fmt: skip
+        parts = make_again(chosen, out, console, tables)
         say("\n".join(part.line() for part in parts))
         if not all(part.same for part in parts):
             raise SystemExit(DIFFERS)

@@ -42,18 +42,19 @@ def runs_in(folders: Sequence[Path]) -> dict[str, Run]:
     return named
 
 
+def studies_in(folders: Sequence[Path]) -> list[Path]:
+    """The folders of studies with finished runs among several folders, or below them."""
+    every = {resolved(path): path for folder in folders for path, done in _tables(folder).items() if done}
+    return list(every.values())
+
+
 def _paths(folder: Path) -> list[Path]:
     """The folders of the runs in one folder."""
     if not folder.is_dir():
         raise ValueError(f"no such folder: {folder}")
     if any((folder / name).exists() for name in (RECORD, UNFINISHED)):
         return [folder]
-    studies = {folder: _done(folder)}
-    if studies[folder] is None:
-        below = {path.parent for name in (TABLE, RECORD) for path in folder.rglob(name)
-                 if not any(part.startswith(".") or part == EXPLAINED
-                            for part in path.relative_to(folder).parts)}  # fmt: skip
-        studies = {path: _done(path) for path in sorted(below)}
+    studies = _tables(folder)
     found = list[Path]()
     for path, done in studies.items():
         if done is not None:
@@ -64,6 +65,17 @@ def _paths(folder: Path) -> list[Path]:
         raise ValueError(f"{folder} holds no finished run: neither a {RECORD}, nor a study with one in its {TABLE} (if "
                          "one is unfinished, run the same command again)")  # fmt: skip
     return found
+
+
+def _tables(folder: Path) -> dict[Path, list[Path] | None]:
+    """The folder, or those below it where it is no study: `_done` of each."""
+    studies = {folder: _done(folder)}
+    if studies[folder] is None:
+        below = {path.parent for name in (TABLE, RECORD) for path in folder.rglob(name)
+                 if not any(part.startswith(".") or part == EXPLAINED
+                            for part in path.relative_to(folder).parts)}  # fmt: skip
+        studies = {path: _done(path) for path in sorted(below)}
+    return studies
 
 
 def _done(folder: Path) -> list[Path] | None:

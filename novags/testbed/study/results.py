@@ -11,13 +11,15 @@ from novags.testbed.console.csv_text import as_csv
 from novags.testbed.folders import shapes
 from novags.testbed.folders.run import METRICS, RECORD, open_run
 from novags.testbed.folders.runs import ROWS, TABLE
-from novags.testbed.ledger.contents import read_json, write_json
+from novags.testbed.ledger.contents import checksum, read_json, write_json
 from novags.testbed.ledger.store import read_seal
+from novags.testbed.stages.explaining.verifying import Verified
 from novags.testbed.stages.scores.comparing import enhancement_of, recovered_shares, with_errors
 from novags.testbed.stages.scores.lengths import length_columns
-from novags.testbed.study.differences import Finished, write_differences
+from novags.testbed.study.differences import DIFFERENCES, Finished, write_differences
 from novags.testbed.study.entry import Task
 from novags.testbed.study.knobs.measurement import read_measured
+from novags.testbed.study.light import METHOD
 from novags.testbed.study.plan import StudyPlan
 from sensor_model.files.atomic import write_text
 
@@ -151,31 +153,53 @@ def read_scores(folder: Path) -> dict[str, Any]:
     return dict(scores)
 
 
-def rescored(out: Path) -> None:
-    """Write the tables of a study of one place again, with the scores that its runs have now.
+def rescored(out: Path, into: Path | None = None) -> None:
+    """Write the tables of a study again, with the scores that its runs have now.
+
+    Args:
+        out: Its folder.
+        into: Where they go; into its folder if not given.
 
     Raises:
         ValueError: If the tables or the scores of a run cannot be read.
     """
     table = read_json(out / TABLE, ROWS)
-    scores, methods, finished = dict[str, dict[str, Any]](), dict[str, str](), list[Finished]()
-    tones = dict[str, str]()
-    for row in table["rows"]:
-        if row["state"] == "done":
-            run = open_run(out / row["folder"])
-            methods[row["method"]] = run.method
-            if (own := run.scores()) is not None:
-                scores[row["method"]] = own
-                place = {name: row.get(name) for name in table["axes"]}
-                tones[row["method"]] = enhancement_of(run.record)
-                finished.append(Finished(place, run.method, own, tones[row["method"]]))
-    shares, columns = _shares(scores, methods, tones), {name: flat_scores(own) for name, own in scores.items()}
     kept = ("run", *table["axes"], "state", "reason", "stage", "log", "folder")
-    _write(out, table["axes"], [
-        {**{name: row.get(name) for name in kept}, **shares.get(row["method"], {}), **columns.get(row["method"], {})}
-        for row in table["rows"]
-    ])  # fmt: skip
-    write_differences(out, table["axes"], finished)
+    rows, finished = list[dict[str, Any]](), list[Finished]()
+    places = dict[tuple[str, ...], dict[str, tuple[dict[str, Any], Finished]]]()
+    for row in table["rows"]:
+        rows.append({name: row.get(name) for name in kept})
+        run = open_run(out / row["folder"]) if row["state"] == "done" else None
+        if run is not None and (own := run.scores()) is not None:
+            values = {name: row.get(name) for name in table["axes"]}
+            finished.append(Finished(values, run.method, own, enhancement_of(run.record)))
+            place = tuple(str(value) for name, value in values.items() if name != METHOD)
+            places.setdefault(place, {})[row[METHOD]] = rows[-1], finished[-1]
+    for members in places.values():
+        several = {name: one for name, (_, one) in members.items()}
+        shares = _shares({name: one.scores for name, one in several.items()},
+                         {name: one.method for name, one in several.items()},
+                         {name: one.enhancement for name, one in several.items()})  # fmt: skip
+        for name, (row, one) in members.items():
+            row.update({**shares.get(name, {}), **flat_scores(one.scores)})
+    _write(into or out, table["axes"], rows)
+    write_differences(into or out, table["axes"], finished)
+
+
+def tables_again(out: Path, into: Path) -> Verified:
+    """Whether the tables of a study are what the scores of its runs make.
+
+    Args:
+        out: Its folder.
+        into: Where they are made again.
+
+    Raises:
+        ValueError: If the tables or the scores of a run cannot be read.
+    """
+    rescored(out, into)
+    there = [name for name in (TABLE, CSV, DIFFERENCES) if (out / name).exists()]
+    differ = tuple(name for name in there if checksum(out / name) != checksum(into / name))
+    return Verified(out.name, "tables", len(there), differ)
 
 
 def _write(out: Path, axes: Mapping[str, Any], rows: list[dict[str, Any]]) -> None:

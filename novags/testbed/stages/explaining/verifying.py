@@ -3,6 +3,7 @@
 OUT/
 verify.json                        the stages that were made again, and their differences
 NAME/set  NAME/capture  NAME/run   the stages of each run, each made from the inputs of the first time
+tables/NAME/                       the tables of each study, from the scores that all of its runs have
 
 So a difference is of this stage alone, by another code, library or processor. Checksums of the inputs are compared with
 their records before.
@@ -38,7 +39,7 @@ class Verified:
 
     Attributes:
         run: Name of the run.
-        stage: "set", "capture", "run" or "scores".
+        stage: "set", "capture", "run" or "scores"; of a study "tables".
         parts: How many files it has, or scores.
         differ: Names of files with another content, or of scores with another value.
         largest: Of scores in dB, the largest difference; None for files.
@@ -81,13 +82,16 @@ def chosen_runs(folders: Sequence[Path], count: int, seed: int) -> dict[str, Run
     return {name: run for name, run in every.items() if name in drawn}
 
 
-def verify(runs: Mapping[str, Run], out: Path, console: Console) -> list[Verified]:
-    """Make these runs again below `out`; writes `RECORD`.
+def verify(runs: Mapping[str, Run], out: Path, console: Console, tables: Sequence[Verified] = ()) -> list[Verified]:
+    """Make these runs again below `out`; writes `RECORD`, with the tables of their studies first.
 
     Raises:
         ValueError: If a run, its capture or its set cannot be read or have changed since they were recorded.
     """
-    found = [part for name, run in runs.items() for part in _stages(name, run, out / safe_name(name), console)]
+    found = [
+        *tables,
+        *(part for name, run in runs.items() for part in _stages(name, run, out / safe_name(name), console)),
+    ]
     write_json(out / RECORD, {"parts": [asdict(part) for part in found]})
     return found
 

@@ -19,6 +19,7 @@ from novags.testbed.stages.explaining import verifying as module
 from novags.testbed.stages.explaining.recorded import taking_of
 from novags.testbed.stages.explaining.verifying import RECORD, Verified, chosen_runs, verify
 from novags.testbed.study.cells.presets import EXPERIMENTS, adapted
+from novags.testbed.study.results import rescored
 
 QUIET = Console(quiet=True)
 STAGES = ["set", "capture", "run", "scores"]
@@ -212,3 +213,27 @@ def test_the_command_ends_with_three_where_something_differs(
     assert "naive: set: " in capsys.readouterr().out
     assert call("verify", "runs/naive", "--out", "other", "--count", "0") == 2
     assert "count must be" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["results.json", "results.csv"])
+def test_a_score_that_is_another_one_in_the_tables_of_a_study_is_a_difference(
+    name: str, place: Path, call: Callable[..., int], capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    """Rationale: these are the numbers that people print, and every run may be what it was."""
+    study = place / "study"
+    study.mkdir()
+    runs = [("s", "naive"), ("s", "raw-gs"), ("t", "naive")]
+    rows = [{"run": k, "scene": scene, "method": method, "state": "done", "folder": f"../runs/{method}"}
+            for k, (scene, method) in enumerate(runs, 1)]  # fmt: skip
+    table = {"axes": {"scene": ["s", "t"], "method": ["naive", "raw-gs"]}, "rows": rows}
+    (study / "results.json").write_text(json.dumps(table))
+    rescored(study)
+    monkeypatch.setattr(module, "verify", lambda chosen, out, console, tables: list(tables))
+    assert call("verify", str(study), "--out", "same") == 0
+    assert capsys.readouterr().out == "study: tables: all 3 files are the same\n"
+    score = next(row for row in json.loads((study / "results.json").read_text())["rows"])["lit.psnr"]
+    text = (study / name).read_text()
+    (study / name).write_text(text.replace(f"{score}", f"{score + 3}", 1))
+    assert call("verify", str(place), "--out", "other") == 3
+    assert capsys.readouterr().out == f"study: tables: 1 of 3 files differ: {name}\n"
