@@ -92,7 +92,7 @@ class Table:
     whole: bool = False  # whether all rows are laid out at once; otherwise only the first hundred are
 
     @cached_property
-    def same(self) -> dict[int, str]:
+    def same(self) -> dict[int, Markup]:
         """The columns that say the same in every row, and what: they are folded away, and said once below.
 
         Not of tables with a foot, whose numbers change with a choice of the reader, nor the one that all is sorted by.
@@ -105,7 +105,7 @@ class Table:
             heading = isinstance(cells[0], TableCell) and cells[0].attributes is None
             if k == 0 or heading or "data-sorted" in column.attributes or "data-filter" in column.attributes:
                 continue
-            texts = {str(cell.text if isinstance(cell, TableCell) else cell) for cell in cells}
+            texts = {escape(cell.text if isinstance(cell, TableCell) else cell) for cell in cells}
             if len(texts) == 1:
                 found[k] = texts.pop()
         return found

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from markupsafe import Markup
 
 ROOT = Path(__file__).resolve().parents[4]
 sys.path.insert(0, str(ROOT))  # where pytest is started by itself and not as a module
@@ -20,7 +21,7 @@ from novags.testbed.folders.capture import Capture, open_capture  # noqa: E402
 from novags.testbed.folders.exposures import exposures_of  # noqa: E402
 from novags.testbed.report.look.pictures import _Tiles  # noqa: E402
 from novags.testbed.report.page import write_report, write_reports  # noqa: E402
-from novags.testbed.report.parts import Strip, Table, TableRow, heads, num, plain  # noqa: E402
+from novags.testbed.report.parts import Strip, Table, TableRow, heads, num, plain, text  # noqa: E402
 from novags.testbed.report.tables import columns, per_view, ranked, scores_of  # noqa: E402
 from novags.testbed.report.verdict import table_of  # noqa: E402
 from novags.testbed.report.words import duration, join, number, signed, size  # noqa: E402
@@ -234,6 +235,14 @@ def test_a_table_as_text_leaves_out_columns_that_say_the_same_in_every_row() -> 
     assert Table("t", "", table.columns, rows, foot=rows).same == {}  # the reader changes what it shows
     assert Table("t", "", table.columns, rows[:1]).same == {}
     assert Table("t", "", table.columns, rows[:2]).same == {2: "none", 3: "x"}
+
+
+def test_what_every_row_says_is_said_with_its_small_print_and_text_stays_text() -> None:
+    rows = [TableRow(["a", num(1.0, Markup("1.00 <small>± 0.00</small>")), text("<b>")])] * 2
+    assert Table("t", "", heads("Name | #Score | Other"), rows).same == {
+        1: "1.00 <small>± 0.00</small>", 2: "&lt;b&gt;",
+    }  # fmt: skip
+    assert all(isinstance(said, Markup) for said in Table("t", "", heads("Name | #Score | Other"), rows).same.values())
 
 
 def test_the_grid_of_a_view_leaves_out_every_picture_of_the_strip() -> None:
