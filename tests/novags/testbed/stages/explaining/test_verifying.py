@@ -221,6 +221,7 @@ def test_a_score_that_is_another_one_in_the_tables_of_a_study_is_a_difference(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
     """Rationale: these are the numbers that people print, and every run may be what it was."""
+    monkeypatch.chdir(place.parent)
     study = place / "study"
     study.mkdir()
     runs = [("s", "naive"), ("s", "raw-gs"), ("t", "naive")]
