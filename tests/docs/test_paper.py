@@ -37,13 +37,15 @@ def test_the_places_in_the_papers_table_are_the_places_of_the_measured_scores() 
 
 
 def test_differences_to_a_plain_gamma_are_the_differences_of_the_table() -> None:
-    said = claim("A guided filter")
+    said, alike = claim("A guided filter"), list[str]()
     for level in ("lom", "llnerf", "llrs", "mvtv"):
         table = rows(f"table1/{level}.csv")
         apart = number(table["naive"][0]) - number(table["gamma-gs"][0])
         found = re.search(rf"([-+][\d.]+)(?: dB)? at `{level}`", said)
         assert found is not None
         assert f"{apart:+.2f}" == found[1], level
+        alike.append(f"{number(table['naive'][0]) - number(table['gamma-auto-gs'][0]):+.2f}")
+    assert f"sought as its own is (`gamma-auto-gs`): tone-aligned {', '.join(alike)} dB" in said
     table = rows("table1/mvtv.csv")
     ours, *others = (number(table[name][0]) for name in ("nova-small", "gamma-gs", "drago-gs"))
     over = [ours - other for other in others]
@@ -77,3 +79,31 @@ def test_how_far_the_fast_variation_is_above_the_paper_s_method_is_scene_by_scen
     said = f"{fmean(apart):.2f} ± {stdev(apart) / 3**0.5:.2f} dB"
     assert f"`nova-fast` is {said} above `nova` (L)" in (DOCS / "paper.md").read_text("utf-8")
     assert f"{said} below `nova-fast`" in (DOCS / "paper-length.md").read_text("utf-8")
+
+
+def test_what_a_part_is_worth_has_the_sign_of_the_tables_without_it() -> None:
+    """Their rows lack the part: a number above 0 is what it costs."""
+    tables = {path.name.split("-")[1]: rows(f"ablations/{path.name}") for path in DOCS.glob("tables/ablations/*-1.csv")}
+    assert len(tables) == 4
+    without = {name: {which: list(map(number, table[name])) for which, table in tables.items() if name in table}
+               for name in ("no-geo", "no-confidence", "plain-unet")}  # fmt: skip
+    costs, worths = ([value for values in without[name].values() for value in values]
+                     for name in ("no-geo", "no-confidence"))  # fmt: skip
+    assert claim("The geometric loss").startswith(f"It costs {min(costs) + 0:.2f} to {max(costs):.2f} dB")
+    assert claim("Confidence") == f"It is worth {-max(worths) + 0:.2f} to {-min(worths):.2f} dB"
+    said, plain = claim("Attention"), without["plain-unet"]
+    assert max(map(abs, plain["levels"])) < 0.1
+    assert f"on four scenes {min(plain['texture']):+.2f} to {max(plain['texture']):+.2f} dB" in said
+
+
+def test_seconds_are_the_least_of_the_seeds_over_the_levels() -> None:
+    tables = [rows(f"table1/{level}.csv") for level in ("lom", "llnerf", "llrs", "mvtv")]
+
+    def span(*names: str) -> str:
+        found = [round(number(table[name][5])) for table in tables for name in names]
+        return f"{min(found)} to {max(found)} s"
+
+    said = claim("Trains faster")
+    fields = ("nerf", "raw-nerf", "aleth-nerf", "ll-nerf", "i2-nerf", "i2-nerf-truth", "nerf-oracle")
+    assert f"`nova-small` took {span('nova-small')}, fields {span(*fields)} " in said
+    assert f"`lita-gs` and `luminance-gs` {span('lita-gs', 'luminance-gs')}, `naive` {span('naive')}" in said
