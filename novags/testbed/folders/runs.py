@@ -58,6 +58,9 @@ def _paths(folder: Path) -> list[Path]:
     found = list[Path]()
     for path, done in studies.items():
         if done is not None:
+            if gone := [run for run in done if not run.is_dir()]:
+                raise ValueError(f"{len(gone)} of the {len(done)} runs of {path} are not here, as {gone[0]}: the runs "
+                                 "of a study lie in its store, which has to come with it")  # fmt: skip
             found += done
         elif (path / RECORD).exists() and studies.get(path.parent) is None:  # else the table says whether it is done
             found.append(path)

@@ -61,3 +61,9 @@ def test_what_holds_no_finished_run_is_refused_wherever_it_stands(tmp_path: Path
             runs_in([good, tmp_path / bad])
     with pytest.raises(ValueError, match="name at least one"):
         runs_in([])
+
+
+def test_a_study_without_its_store_says_what_has_to_come_with_it(tmp_path: Path) -> None:
+    (study(tmp_path / "s", a="done", b="done", c="failed") / "b").rename(tmp_path / "elsewhere")
+    with pytest.raises(ValueError, match="^1 of the 2 runs of .*s are not here, as .*b: .* lie in its store"):
+        runs_in([tmp_path])
