@@ -2,7 +2,8 @@
 
 OUT/
 verify.json                        the stages that were made again, and their differences
-NAME/set  NAME/capture  NAME/run   the stages of each run, each made from the inputs of the first time
+NAME/set  NAME/capture  NAME/run   the stages of each run, each made from the inputs of the first time; of runs that
+                                   share a set or a capture, that once
 tables/NAME/                       the tables of each study, from the scores that all of its runs have
 
 So a difference is of this stage alone, by another code, library or processor. Checksums of the inputs are compared with
@@ -11,7 +12,7 @@ their records before.
 
 import random
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ from novags.testbed.stages.explaining.swaps import Case
 from novags.testbed.stages.reconstructing import reconstruct
 from novags.testbed.stages.rendering import render
 from novags.testbed.stages.scores.scoring import score
+from sensor_model.files.door import resolved
 from simscenes.sets.names import safe_name
 
 RECORD = "verify.json"
@@ -88,15 +90,16 @@ def verify(runs: Mapping[str, Run], out: Path, console: Console, tables: Sequenc
     Raises:
         ValueError: If a run, its capture or its set cannot be read or have changed since they were recorded.
     """
+    made = dict[Path, Verified]()
     found = [
         *tables,
-        *(part for name, run in runs.items() for part in _stages(name, run, out / safe_name(name), console)),
+        *(part for name, run in runs.items() for part in _stages(name, run, out / safe_name(name), console, made)),
     ]
     write_json(out / RECORD, {"parts": [asdict(part) for part in found]})
     return found
 
 
-def _stages(name: str, run: Run, folder: Path, console: Console) -> Iterator[Verified]:
+def _stages(name: str, run: Run, folder: Path, console: Console, made: dict[Path, Verified]) -> Iterator[Verified]:
     scores = run.scores()
     capture, source = run.inputs(console)
     case = Case(run, capture, source, scores or {})
@@ -109,10 +112,14 @@ def _stages(name: str, run: Run, folder: Path, console: Console) -> Iterator[Ver
         differ = sorted(each for each in {*old, *new} if old.get(each) != new.get(each))
         return Verified(name, stage, len({*old, *new}), tuple(differ))
 
-    yield again("set", source.views.meta.get("stage", {}), lambda: render(
-        folder / "set", rendering_of(source), console, overwrite=True))  # fmt: skip
-    yield again("capture", capture.record.stage, lambda: take(
-        source.views.path, folder / "capture", taking_of(capture), console, overwrite=True))  # fmt: skip
+    if (place := resolved(source.views.path)) not in made:
+        made[place] = again("set", source.views.meta.get("stage", {}), lambda: render(
+            folder / "set", rendering_of(source), console, overwrite=True))  # fmt: skip
+    yield replace(made[place], run=name)
+    if (place := resolved(capture.path)) not in made:
+        made[place] = again("capture", capture.record.stage, lambda: take(
+            source.views.path, folder / "capture", taking_of(capture), console, overwrite=True))  # fmt: skip
+    yield replace(made[place], run=name)
     fit = again("run", run.record["stage"], lambda: reconstruct(
         capture.path, folder / "run", case.config, console, overwrite=True))  # fmt: skip
     yield fit

@@ -66,6 +66,8 @@ def test_all_files_and_scores_are_what_they_were(place: Path) -> None:
     wanted, have = ((folder / "renders" / "0000.png").read_bytes()
                     for folder in (place / "runs" / "naive", again / "naive" / "run"))  # fmt: skip
     assert wanted == have
+    shared = [path.parent.name for name in ("set", "capture") for path in again.glob(f"*/{name}")]
+    assert shared == ["naive"] * 2  # the others are of the same set and capture
 
 
 @pytest.mark.parametrize("forged", ["geometry.abs_rel", "noise.renders", "training_2d.blur.psnr", "mean.lit.ssim"])
