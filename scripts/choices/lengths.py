@@ -7,7 +7,8 @@ Differences are paired by scene, seed and view, and carry the standard error ove
 differences`); a star marks those whose 95 % interval leaves 0 out. Runs that are not finished are counted and left out.
 `--stops` is the same study with `hold_out`: its fits say after which length a method would stop itself, and the score
 there is of the fit with all views. `--kept` is a CSV of single scores: fits of the folder are added to it, and the
-tables are of all its fits, so that a study of many hours can be made in parts. Of a study with further axes `--only`
+tables are of all its fits, so that a study of many hours can be made in parts. Where there is no such folder, the
+tables are of the CSV alone, but for the one of stops. Of a study with further axes `--only`
 takes one value of each: `--only electrons=20 sensor=a7s2-iso6400`. The page has the tables between <!-- table: NAME -->
 and <!-- /table -->, NAME being the folder's (of `--only` with the values: out-20-a7s2-iso6400), and NAME-along,
 NAME-scenes, NAME-stops; of a study whose fits are scored at their ends alone the first.
@@ -247,10 +248,12 @@ def main() -> None:
     parser.add_argument("--page", type=Path, required=True)
     options = parser.parse_args()
     only = dict(one.split("=", 1) for one in options.only)
-    fits, runs = fits_of(options.folder, only)
+    alone = options.kept is not None and options.kept.exists() and not options.folder.exists()
+    fits, runs = ([], 0) if alone else fits_of(options.folder, only)
     if options.kept:
         places = {(fit.method, fit.scene, fit.seed): fit for fit in [*read_kept(options.kept), *fits]}
         fits = list(places.values())
+    if options.kept and not alone:
         keep(options.kept, fits)
     holding = fits_of(options.stops, only)[0] if options.stops else []
     name, than = "-".join([options.folder.name, *only.values()]), options.than
@@ -260,7 +263,8 @@ def main() -> None:
         return
     write_table(options.page, f"{name}-along", along(fits, than))
     write_table(options.page, f"{name}-scenes", by_scene(fits, than))
-    write_table(options.page, f"{name}-stops", three_lengths(fits, holding))
+    if not alone:
+        write_table(options.page, f"{name}-stops", three_lengths(fits, holding))
 
 
 if __name__ == "__main__":

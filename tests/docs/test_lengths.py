@@ -71,6 +71,18 @@ def test_fits_of_two_parts_make_the_tables_of_all_of_them(lengths, monkeypatch, 
     assert "2.50" in parts
 
 
+def test_the_kept_fits_alone_make_the_tables_but_for_the_one_of_stops(lengths, monkeypatch, tmp_path):
+    kept, page = tmp_path / "fits.csv", tmp_path / "page.md"
+    whole = tables(lengths, monkeypatch, page, study(tmp_path / "one" / "s", NAIVE + NOVA), "--kept", kept)
+    before = kept.read_bytes()
+    alone = tables(lengths, monkeypatch, page, tmp_path / "nowhere" / "s", "--kept", kept)
+    stops = "<!-- table: s-stops -->\n"
+    assert alone == whole.partition(stops)[0] + stops + "<!-- /table -->\n"
+    assert kept.read_bytes() == before
+    with pytest.raises(FileNotFoundError):
+        tables(lengths, monkeypatch, page, tmp_path / "nowhere" / "s")
+
+
 def test_a_fit_that_is_made_again_takes_the_place_of_the_kept_one(lengths, monkeypatch, tmp_path):
     kept, page = tmp_path / "fits.csv", tmp_path / "page.md"
     tables(lengths, monkeypatch, page, study(tmp_path / "one" / "s", NAIVE), "--kept", kept)
