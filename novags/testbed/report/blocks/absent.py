@@ -19,9 +19,9 @@ def absent(material: Material, page: Page) -> dict[str, Any] | None:
     """The missing rows by kind and name, each with its effect on the page; None where none is missing."""
     found = dict(fact for each in material.made.values() for fact in _of_run(each))
     scores = (column.partition(".") for row in material.rows for column in row)
-    # What stands beside a score has no row of its own.
+    # What stands beside a score has no row of its own, and a reference that is not known is a column without a name.
     names = dict.fromkeys(name if name in METRICS else name.removesuffix(ERROR).removesuffix(BIAS)
-                          for kind, _, name in scores if kind in PICTURES and name != VARIANCE)  # fmt: skip
+                          for kind, _, name in scores if kind in PICTURES and name not in ("", VARIANCE))  # fmt: skip
     found |= {f"metric {name}": "no column: whether more of it is better is not known"
               for name in names if METRICS.get(name) is None}  # fmt: skip
     return {"facts": found} if found else None

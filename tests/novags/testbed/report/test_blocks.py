@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
@@ -16,6 +16,7 @@ from novags.testbed.console.terminal import Console
 from novags.testbed.metrics.differences import Estimate
 from novags.testbed.report import material as module
 from novags.testbed.report import page
+from novags.testbed.report.blocks.absent import absent
 from novags.testbed.report.blocks.cost import costs
 from novags.testbed.report.material import Material, material_of, spread, titles
 from novags.testbed.report.place import Place, places_in
@@ -179,6 +180,13 @@ def test_a_study_whose_variant_is_of_a_method_that_is_gone_is_reported_on(
 
 def test_of_results_whose_rows_are_here_nothing_is_said_to_be_gone(experiment: Path) -> None:
     assert absent_rows(experiment / "report.html") == []
+
+
+def test_a_reference_that_is_not_known_is_no_metric_that_is_gone() -> None:
+    material: Any = SimpleNamespace(made={}, rows=[{"enhanced": None, "lit.psnr": 20.0}])
+    assert absent(material, cast(Any, None)) is None
+    material.rows[0]["enhanced.crispness"] = 0.5
+    assert list((absent(material, cast(Any, None)) or {})["facts"]) == ["metric crispness"]
 
 
 def test_places_of_the_same_title_are_told_apart_by_their_folders_whichever_they_are(tmp_path: Path) -> None:
