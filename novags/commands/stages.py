@@ -124,9 +124,10 @@ def poses(
         pictures=pictures, mapper=mapper, seed=seed,
     )  # fmt: skip
     with writing(out, wait, dry_run=dry_run) as console:
-        stages.poses(out, config, console, overwrite=overwrite)
+        record = stages.poses(out, config, console, overwrite=overwrite)
         say(out)
-        next_(f"novags capture {typed(out)} --electrons 20 --out CAPTURE, or novags run --scene {typed(out)}")
+        light = f"novags capture {typed(out)} --electrons 20 --out CAPTURE, or novags run --scene {typed(out)}"
+        next_(f"novags import {typed(out)} --out CAPTURE" if record.get("dark") else light)
 
 
 def capture(

@@ -68,6 +68,18 @@ def test_the_seed_of_an_experiment_reaches_its_noise_and_its_training(
     assert (seen[0].capture.seed, seen[0].reconstruct("naive").seed) == (7, 7)
 
 
+@pytest.mark.parametrize(("dark", "advised"), [(True, "novags import "), (False, "novags capture ")])
+def test_dark_photographs_with_cameras_are_to_be_imported_and_not_made_dark_again(
+    call: Call, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, dark: bool,
+    advised: str,
+) -> None:  # fmt: skip
+    from novags.testbed import stages
+
+    monkeypatch.setattr(stages, "poses", lambda *_, **__: {"dark": dark})
+    assert call("poses", str(tmp_path), "--out", str(tmp_path / "set")) == 0
+    assert f"next: {advised}" in capsys.readouterr().err
+
+
 def test_photographs_are_imported_with_the_black_and_the_white_that_are_said(
     call: Call, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

@@ -1,16 +1,21 @@
-"""Whether photographs were exposed alike, as their files state it."""
+"""Whether photographs were exposed alike, as their files state it, and whether they are dark."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
+
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders.photographs.raw_files import is_raw, read_exposure
+from simscenes.sets.multiview import MultiviewSet
 from simscenes.sets.pictures.exr_meaning import refuse_foreign
 from simscenes.sets.pictures.image_file import header
 
 ALIKE = 0.02  # relative: cameras round their numbers
 UNEVEN = 4.0  # ratio of two exposures that none lies between: a camera that sets them by itself goes by small steps
+DARK = 0.2  # sRGB-encoded, 0..1: photographs are dark if nine of ten pixels of the median one are below
+LOOKED_AT = 9  # photographs, to know whether all are dark
 STATED = ("exposure time", "s"), ("ISO speed", ""), ("f-number", "")
 EXIF, TAGS = 0x8769, (0x829A, 0x8827, 0x829D)  # ExposureTime, ISOSpeedRatings (PhotographicSensitivity), FNumber
 OF_EXR = "expTime", "isoSpeed", "aperture"  # OpenEXR's standard attributes
@@ -88,6 +93,23 @@ def exposure_doubts(files: Sequence[Path]) -> list[str]:
         f"photographs were exposed unevenly: by its exposure time, ISO speed and f-number {bright.name} got "
         f"{step:.3g} times the exposure of {dark.name}, and none lies between them, so that one surface has several "
         "brightnesses; take photographs with one exposure for all"
+    ]  # fmt: skip
+
+
+def are_dark(picture: Callable[[int], np.ndarray], count: int) -> bool:
+    """Whether so many photographs are dark, by the 8-bit pictures of some of them."""
+    some_of_them = np.linspace(0, count - 1, min(count, LOOKED_AT)).round().astype(int)
+    levels = [np.quantile(picture(k).mean(-1), 0.9) for k in some_of_them]
+    return bool(np.median(levels) < 255 * DARK)
+
+
+def dark_doubts(views: MultiviewSet) -> list[str]:
+    """A doubt where 8-bit photographs that shall be made dark are dark already."""
+    file = views.files[0]
+    linear = is_raw(file) or file.suffix.lower() == ".exr" or views.is_deep(0)
+    return [] if linear or not are_dark(views.image, len(views)) else [
+        f"pictures are dark already: nine of ten pixels of the median one are below code {255 * DARK:.0f}, and with "
+        "their noise they count as the scene in good light here; take photographs from the dark to novags import"
     ]  # fmt: skip
 
 

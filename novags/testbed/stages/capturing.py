@@ -14,7 +14,7 @@ from novags.testbed.folders import capture as capture_folder
 from novags.testbed.folders.capture import has_view, write_view
 from novags.testbed.folders.place import keep_place, recorded_place
 from novags.testbed.folders.set import Source, open_source
-from novags.testbed.importing.exposures import exposure_doubts, say_time
+from novags.testbed.importing.exposures import dark_doubts, exposure_doubts, say_time
 from novags.testbed.ledger.stage import run_stage
 from novags.testbed.stages.configs.capturing import CaptureConfig, camera_file
 from novags.testbed.stages.layouts import LAYOUTS, check_source_of, truth_of, write_layouts
@@ -121,8 +121,9 @@ class Light:
 def look_and_meter(source: Source, config: CaptureConfig, console: Console) -> Light:
     """The result of `meter`, after doubts about photographs were said."""
     if source.views.kind == "photographs":
-        for doubt in [*exposure_doubts(source.views.files), *source.picture_doubts()]:
-            console.warn(f"{source.views.path}: {doubt}")
+        views = source.views
+        for doubt in [*exposure_doubts(views.files), *dark_doubts(views), *source.picture_doubts()]:
+            console.warn(f"{views.path}: {doubt}")
     return meter(source, config, console)
 
 

@@ -16,7 +16,7 @@ from novags.testbed.console.terminal import Console
 from novags.testbed.folders.photographs.raw_files import SUFFIXES as RAW
 from novags.testbed.folders.photographs.video import is_video, write_frames
 from novags.testbed.folders.set import left_out, say_stated
-from novags.testbed.importing.exposures import exposure_doubts
+from novags.testbed.importing.exposures import are_dark, exposure_doubts
 from novags.testbed.ledger.contents import folder_digest
 from novags.testbed.ledger.stage import run_stage
 from novags.testbed.stages.configs.posing import PosesConfig
@@ -32,8 +32,6 @@ from simscenes.sets.pictures.png import write_png
 from simscenes.sets.readers.bare import SUFFIXES, Bare, picture_files, survey, without_masks
 from simscenes.sets.writers.camera_files import write_cameras
 
-DARK = 0.2  # sRGB-encoded, 0..1: photographs are dark if nine of ten pixels of the median one are below
-LOOKED_AT = 9  # photographs, to know whether all are dark
 BETTER = "take them with more overlap, from places that differ, sharp, with texture and little noise"
 
 
@@ -134,7 +132,7 @@ def place(files: dict[str, Path], out: Path, config: PosesConfig, console: Conso
             files = {label: file for file, label in frames.items()}
         bare, size = survey(list(files.values()), config.max_size)
         shots = [Shot(f"{k:06d}.png", one.camera, one.focal) for k, one in enumerate(bare)]
-        pictures, mapper = config.search(dark := are_dark(bare))
+        pictures, mapper = config.search(dark := are_dark(lambda k: bare[k].pixels(), len(bare)))
         looked_at = SEEN[pictures](Encoded(bare), config.seed)
         with console.progress(f"poses: {pictures} pictures") as update:
             for k, (shot, picture) in enumerate(zip(shots, looked_at, strict=True)):
@@ -171,13 +169,6 @@ class Encoded(Sequence[torch.Tensor]):
 
     def __getitem__(self, k: Any) -> Any:
         return torch.from_numpy(self.bare[k].pixels()).float() / 255
-
-
-def are_dark(bare: Sequence[Bare]) -> bool:
-    """Whether photographs are dark, by some of them."""
-    some_of_them = np.linspace(0, len(bare) - 1, min(len(bare), LOOKED_AT)).round().astype(int)
-    levels = [np.quantile(bare[k].pixels().mean(-1), 0.9) for k in some_of_them]
-    return bool(np.median(levels) < 255 * DARK)
 
 
 def levelled(found: Registered) -> Registered:

@@ -15,6 +15,7 @@ import pytest
 from novags.testbed import stages
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders.set import for_photographs, open_source, source_of
+from novags.testbed.stages.capturing import look_and_meter
 from novags.testbed.stages.configs.capturing import CaptureConfig
 from novags.testbed.stages.configs.importing import ImportConfig
 from novags.testbed.stages.configs.posing import PosesConfig
@@ -101,6 +102,18 @@ def test_other_primaries_are_said_of_whichever_picture_states_them(command: str,
         else:
             stages.poses(tmp_path / "out", PosesConfig(photographs=folder / "images"), console)
     assert "state colours of other primaries than those of sRGB (Display P3, say)" in stream.getvalue()
+
+
+@pytest.mark.parametrize(("share", "said"), [(1.0, False), (0.02, True)])
+def test_photographs_that_are_dark_already_are_said_before_they_are_made_dark(
+    share: float, said: bool, tmp_path: Path
+) -> None:
+    stream, folder = io.StringIO(), model(tmp_path / "set", None)
+    for i in range(VIEWS):
+        light = (lit_picture(i).astype(np.float32) * share + 200 * share).clip(0, 255).astype(np.uint8)
+        write_png(folder / "images" / f"{i:02d}.png", light)
+    look_and_meter(open_source(folder, Console(quiet=True)), CaptureConfig(), Console(stream=stream))
+    assert (f"{folder}: pictures are dark already" in stream.getvalue()) is said
 
 
 def test_masks_among_posed_pictures_are_said_by_name(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from novags.testbed.console.terminal import Console
+from novags.testbed.importing.exposures import are_dark
 from novags.testbed.stages import posing
 from novags.testbed.stages.configs.posing import PosesConfig
 from novags.testbed.study.plan import Planner
@@ -168,12 +169,11 @@ def test_cameras_and_points_are_turned_upright_together() -> None:
      ([10] * 20 + [200] * 4, True)],
 )  # fmt: skip
 def test_photographs_are_dark_by_nine_tenths_of_the_pixels_of_the_median_one(values: list[int], dark: bool) -> None:
-    bare: Any = [SimpleNamespace(pixels=lambda v=v: np.full((10, 20, 3), v, np.uint8)) for v in values]
-    assert posing.are_dark(bare) is dark
-    lamps: Any = [SimpleNamespace(pixels=lambda: np.where(np.arange(200).reshape(10, 20, 1) < 18, 255, [8, 9, 10]))]
-    assert posing.are_dark(lamps) is True
-    black_background: Any = [SimpleNamespace(pixels=lambda: np.where(np.arange(200).reshape(10, 20, 1) < 30, 99, 0))]
-    assert posing.are_dark(black_background) is False
+    assert are_dark(lambda k: np.full((10, 20, 3), values[k], np.uint8), len(values)) is dark
+    lamps = np.where(np.arange(200).reshape(10, 20, 1) < 18, 255, [8, 9, 10])
+    assert are_dark(lambda k: lamps, 1) is True
+    black_background = np.where(np.arange(200).reshape(10, 20, 1) < 30, 99, 0)
+    assert are_dark(lambda k: black_background, 1) is False
 
 
 @pytest.mark.parametrize(
