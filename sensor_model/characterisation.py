@@ -160,7 +160,9 @@ def characterise(dark: Sequence[Stack], flat: Sequence[Stack]) -> Characterisati
 
 def _check(dark: Sequence[Stack], flat: Sequence[Stack]) -> None:
     """Refuse frames that no camera can be estimated from."""
-    require(len({s.time for s in dark}) >= 2, "dark", "stacks at two exposure times or more", len(dark))
+    times = sorted({s.time for s in dark})
+    require(len(times) >= 2, "dark", "stacks at two exposure times or more", times,
+            "dark current is their difference: add frames of another time")  # fmt: skip
     require(len(flat) >= 3, "flat", "three stacks or more", len(flat))
     shapes = {np.shape(s.frames)[1:] for s in (*dark, *flat)}
     require(len(shapes) == 1, "frames", "of one shape in all stacks", sorted(shapes))

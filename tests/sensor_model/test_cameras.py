@@ -256,7 +256,10 @@ def test_characterisation_agrees_with_emva_1288_on_the_same_frames(name, emva128
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda d, f: (d[:1], f), "dark must be stacks at two exposure times"),
+        (
+            lambda d, f: ([replace(d[0], time=0.5)] * 2, f),
+            r"dark must be stacks at two exposure times or more, got \[0.5\]",
+        ),
         (lambda d, f: (d, f[:2]), "flat must be three stacks"),
         (lambda d, f: (d, [f[-2]] * 3), "a stack below 70 % of saturation"),
         (lambda d, f: (d, [f[0], f[12], f[-2]]), "three stacks or more from 5 % to 95 %"),

@@ -100,7 +100,7 @@ def read_frames(folder: Path, window: int = 1024, notes_of: Path | None = None) 
         flat=[stack for name, stack in stacks.items() if name.startswith("flat/")],
         iso=check_iso(paths, OF_FRAMES, float(named[1]) if named else None, "the name of the folder"),
         cfa=agreed("cfa", notes["cfa"], [f.cfa for f in everything], folder, "none"),
-        bits=agreed("bits", notes["bits"], [f.bits for f in everything], folder, None),
+        bits=agreed("bits", notes["bits"], [f.bits for f in everything], folder, None, "bits = N"),
         camera=notes["camera"],
     )
     check_codes(stacks, frames.cfa, frames.bits, folder)
@@ -195,18 +195,19 @@ def _stack(path: Path, files: list[CalibrationFrame], note: dict[str, float]) ->
         raise ValueError(f"{path} must hold frames of one size, got {sorted(sizes) or 'no frames'}")
     if unknown := sorted(set(note) - {"time", "photons"}):
         raise ValueError(f"frames.toml: stack {path.name} has unknown {', '.join(unknown)}; available: time, photons")
-    time = agreed("exposure time", note.get("time"), [f.time for f in files], path, None)
+    lines = f'the line [stacks."{path.parent.name}/{path.name}"] and below it time = SECONDS'
+    time = agreed("exposure time", note.get("time"), [f.time for f in files], path, None, lines)
     return Stack(np.concatenate([f.dn for f in files]), float(time), note.get("photons"))
 
 
-def agreed(what: str, given: Any, found: list[Any], where: Path, default: Any) -> Any:
-    """The value in frames.toml, else the value that all files state, else the default."""
+def agreed(what: str, given: Any, found: list[Any], where: Path, default: Any, lines: str = "it") -> Any:
+    """The value in frames.toml, where `lines` state it, else the value that all files state, else the default."""
     told = {value for value in found if value is not None}
     if given is None and len(told) > 1:
         raise ValueError(f"the files in {where} differ in {what}: {', '.join(map(str, sorted(told)))}")
     value = given if given is not None else next(iter(told), default)
     if value is None:
-        raise ValueError(f"the files in {where} do not state their {what}: give it in frames.toml")
+        raise ValueError(f"the files in {where} do not state their {what}: give {lines} in frames.toml")
     return value
 
 
