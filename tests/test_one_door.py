@@ -45,7 +45,7 @@ EXCEPTIONS = {
     ("novags/commands/answers/topics.py", "(_folder() / f'{topic}.txt').read_text"): OWN,
     ("novags/testbed/report/page.py", "(files('novags.testbed.report') / name).read_text"): OWN,
     ("novags/testbed/ledger/code.py", "path.read_bytes"): f"{OWN}, and of modules that are loaded already",
-    ("novags/testbed/ledger/reach.py", "path_of(module).read_bytes"): f"{OWN}, and of modules that are loaded already",
+    ("novags/testbed/ledger/reach.py", "path.read_bytes"): f"{OWN}, and of modules that are loaded already",
     ("novags/testbed/ledger/reach.py", "stub.read_bytes"): OWN,
     ("novags/testbed/ledger/source.py", "Path(__file__).read_bytes"): OWN,
     ("novags/testbed/ledger/contents.py", "Path(__file__).read_bytes"): OWN,

@@ -177,7 +177,7 @@ class _Walk:
 
 @cache
 def _next(module: str, number: int, ours: frozenset[str]) -> dict[str, Counted]:
-    """The definitions and imports that one definition names itself, by module. They do not depend on the walk so far."""
+    """The definitions and imports that one definition names itself, by module, however far the walk has come."""
     walk = _Walk(ours)
     walk.follow(module, number)
     return walk.found
