@@ -37,6 +37,7 @@ from simscenes.sets.readers.ply_points import read_ply_points
 from simscenes.sets.writers.neighbours import write_points
 
 CODES = 6  # different ones in a picture, from which on a common divisor is no accident
+PEDESTAL = 0.5  # share of the median code that one pixel in a hundred of a picture, its shadows and noise, is below
 BRIGHTER, LOOKED_AT = 8.0, 4  # times; views of each kind. RealX3D's lit pictures have 40 times the light of the dark
 SMALLEST_LIGHT = 1e-6  # of white: black pictures would divide by zero
 OWN_TONE = 1.25  # or more times the light of the raw files is a camera's tone curve, not the rounding to 8 bits
@@ -209,9 +210,14 @@ def _say_codes(what: str, codes: Codes16, files: Sequence[Path], console: Consol
                  f"between{says} (--black, --white, --curve)")  # fmt: skip
 
 
-def _say_spaced(file: Path, console: Console) -> None:
-    """Say that codes stand apart, as those of fewer bits do that are stored at the top of 16."""
-    codes = np.unique(read_stored(file))
+def _say_odd(file: Path, levels: Codes16, console: Console) -> None:
+    """Say that codes stand apart, as those of fewer bits do that are stored at the top of 16, or far above black."""
+    stored = read_stored(file)
+    least, middle = np.quantile(stored, (0.01, 0.5))
+    if not levels.black and levels.of(file).curve == "linear" and least > PEDESTAL * middle:
+        console.warn(f"99 % of the codes of {file.name} are above {least:.0f}, and half of them below {middle:.0f}: "
+                     "probably the camera's black level is in them and counts as light; give --black")  # fmt: skip
+    codes = np.unique(stored)
     step = int(np.gcd.reduce(codes)) if len(codes) >= CODES else 1
     if step > 1:
         console.warn(f"codes of {file.name} are multiples of {step}: they are probably of "
@@ -239,7 +245,7 @@ def _say(
     _say_pairs(material, darkroom, console)
     if dark.depth == "16bit":
         _say_codes("16-bit files", config.codes, dark.dark_files, console)
-        _say_spaced(dark.dark_files[0], console)
+        _say_odd(dark.dark_files[0], config.codes, console)
     if darkroom.resampled and (dark.raws or config.camera):
         kept = "no raw frames" if dark.raws else ""
         noise = "no known noise" if config.camera else ""

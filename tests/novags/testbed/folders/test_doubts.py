@@ -116,6 +116,19 @@ def test_photographs_that_are_dark_already_are_said_before_they_are_made_dark(
     assert (f"{folder}: pictures are dark already" in stream.getvalue()) is said
 
 
+@pytest.mark.parametrize(("floor", "black", "said"), [(0, 0.0, False), (512, 0.0, True), (512, 512.0, False)])
+def test_a_black_level_that_nobody_states_is_said(floor: int, black: float, said: bool, tmp_path: Path) -> None:
+    """Rationale: 16-bit files with a camera's pedestal count as light from code 0 on, and look foggy."""
+    stream, folder = io.StringIO(), model(tmp_path / "set", None)
+    rng = np.random.default_rng(0)
+    for i in range(VIEWS):
+        light = rng.poisson(rng.gamma(1.0, 20.0, (HEIGHT, WIDTH, 3)))
+        write_png(folder / "images" / f"{i:02d}.png", (floor + 8 * light).astype(np.uint16))
+    config = ImportConfig(black=black, white=8000.0)
+    stages.import_photographs(folder, tmp_path / "out", config, Console(stream=stream))
+    assert ("probably the camera's black level is in them" in stream.getvalue()) is said
+
+
 def test_masks_among_posed_pictures_are_said_by_name(tmp_path: Path) -> None:
     stream, folder = io.StringIO(), model(tmp_path / "set", None)
     mask = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
