@@ -12,6 +12,7 @@ from sensor_model.files.door import resolved
 EXPERIMENT = "experiment.json"  # in the folder of a study of one place, once its runs are done: the request
 STUDY = "study.json"  # in the folder of a study of many places
 TABLE = "results.json"  # in both
+VERIFIED = "verify.json"  # in a folder of runs that were made again, which are nobody's results
 ROWS: Any = {"axes": dict, "rows": [{"state": str, "folder": str}]}  # of the table
 REPORT, REPORT_FILES = "report.html", "report.files"  # and the folders beside pages of many pictures
 
@@ -76,7 +77,9 @@ def _tables(folder: Path) -> dict[Path, list[Path] | None]:
     if studies[folder] is None:
         below = {path.parent for name in (TABLE, RECORD) for path in folder.rglob(name)
                  if not any(part.startswith(".") or part == EXPLAINED
-                            for part in path.relative_to(folder).parts)}  # fmt: skip
+                            for part in path.relative_to(folder).parts)
+                 and not any((folder / above / VERIFIED).exists()
+                             for above in path.relative_to(folder).parents[:-1])}  # fmt: skip
         studies = {path: _done(path) for path in sorted(below)}
     return studies
 

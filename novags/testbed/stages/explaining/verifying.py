@@ -18,7 +18,7 @@ from typing import Any
 
 from novags.testbed.console.terminal import Console
 from novags.testbed.folders.run import Run
-from novags.testbed.folders.runs import runs_in
+from novags.testbed.folders.runs import VERIFIED, runs_in
 from novags.testbed.ledger.contents import write_json
 from novags.testbed.ledger.difference import flat
 from novags.testbed.stages.capturing import capture as take
@@ -30,7 +30,7 @@ from novags.testbed.stages.scores.scoring import score
 from sensor_model.files.door import resolved
 from simscenes.sets.names import safe_name
 
-RECORD = "verify.json"
+RECORD = VERIFIED
 SHOWN = 3  # files that one line can hold
 SCORES = ("mean", "geometry", "noise", "training_2d")  # parts of the scores of a run; its cost is another each time
 

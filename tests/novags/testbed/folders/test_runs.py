@@ -67,3 +67,14 @@ def test_a_study_without_its_store_says_what_has_to_come_with_it(tmp_path: Path)
     (study(tmp_path / "s", a="done", b="done", c="failed") / "b").rename(tmp_path / "elsewhere")
     with pytest.raises(ValueError, match="^1 of the 2 runs of .*s are not here, as .*b: .* lie in its store"):
         runs_in([tmp_path])
+
+
+def test_what_was_made_again_beside_results_is_none_of_them(tmp_path: Path) -> None:
+    """Rationale: `novags verify . --out again` a second time drew from what the first had made."""
+    run(tmp_path / "x" / "mine")
+    run(tmp_path / "x" / "again" / "mine" / "run")
+    study(tmp_path / "x" / "again" / "tables" / "s", a="done").joinpath("a").rename(tmp_path / ".gone")
+    (tmp_path / "x" / "again" / "verify.json").write_text("{}")
+    for folder in (tmp_path, tmp_path / "x"):
+        assert [one.path for one in runs_in([folder]).values()] == [tmp_path / "x" / "mine"]
+    assert [one.path.name for one in runs_in([tmp_path / "x" / "again" / "mine"]).values()] == ["run"]
