@@ -72,7 +72,7 @@ def _paths(folder: Path) -> list[Path]:
 
 
 def _tables(folder: Path) -> dict[Path, list[Path] | None]:
-    """The folder, or those below it where it is no study: `_done` of each."""
+    """The finished runs of a folder of runs, or of every such folder below it: `_done` of each, by folder."""
     studies = {folder: _done(folder)}
     if studies[folder] is None:
         below = {path.parent for name in (TABLE, RECORD) for path in folder.rglob(name)

@@ -273,7 +273,7 @@ class TwinVerdict:
             if len(self.known(kind, number)) < FEWEST:
                 continue
             order = self.order(kind, number)
-            ordered = "no order, because no value is of all methods" if order is None else (
+            ordered = "no order: the methods have no value in common" if order is None else (
                 f"rank correlation {order.value:.2f} of {order.methods} methods (p = {order.p:.2g})")  # fmt: skip
             apart = self.differences(kind, number)
             judged = [each.agrees for each in apart if each.agrees is not None]

@@ -137,7 +137,7 @@ def test_a_run_that_failed_takes_its_scene_from_the_order_of_all_methods(tmp_pat
     sides = both_sides(tmp_path / "twin", tmp_path / "real", {})
     verdict = TwinVerdict(*sides, "naive", [])
     assert verdict.order("lit", "tone_aligned_psnr") is None
-    assert verdict.lines()[0].startswith("lit.tone_aligned_psnr: no order, because no value is of all methods; ")
+    assert verdict.lines()[0].startswith("lit.tone_aligned_psnr: no order: the methods have no value in common; ")
 
 
 def test_what_cannot_be_compared_is_refused(tmp_path: Path) -> None:
