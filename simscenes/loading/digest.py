@@ -43,8 +43,19 @@ def _feed(digest: Any, node: Any) -> None:
             digest.update(f"{key!r}:".encode())
             _feed(digest, value)
     else:
-        digest.update(f"{type(node).__name__}:".encode())
+        digest.update(f"{_kind(node)}:".encode())
         digest.update(_content(node))
+
+
+def _kind(value: Any) -> str:
+    """The name of a value's class, the same whichever variants of Mitsuba the process loaded.
+
+    `mi.ScalarTransform4f` calls itself `AffineTransform4f` where a scalar variant was the first, else
+    `ScalarAffineTransform4f`; points, vectors and colours likewise.
+    """
+    kind = type(value)
+    numbers = re.fullmatch(r"(?:Scalar)?(\w+\d[a-z])", kind.__name__) if kind.__module__ == "mitsuba" else None
+    return f"Scalar{numbers[1]}" if numbers else kind.__name__
 
 
 def _content(value: Any) -> bytes:

@@ -1,5 +1,7 @@
 """A scene's digest: it tells apart what looks different, and nothing else."""
 
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -140,3 +142,18 @@ def test_what_a_parameter_chooses_counts_beside_the_file_that_it_is_of(tmp_path:
     mirrored = digest("1", "wrap=mirror")
     assert mirrored == digest("1", "wrap=mirror")
     assert len({mirrored, digest("1"), digest("1", "wrap=clamp"), digest("2", "wrap=mirror")}) == 4
+
+
+@pytest.mark.parametrize("first", ["auto", "scalar"])
+def test_a_digest_is_the_same_whichever_variant_a_process_loaded_first(first: str) -> None:
+    """Mitsuba's own values take their class's name from the first: `ScalarAffineTransform4f` or `AffineTransform4f`."""
+    ours = (
+        "from simscenes.backend import activate\n"
+        "from simscenes.loading.digest import content_digest\n"
+        f"mi = activate({first!r})\n"
+        "mi = activate()\n"
+        "values = mi.ScalarTransform4f(), mi.ScalarTransform3f(), mi.ScalarPoint3f(1), mi.ScalarColor3f(1)\n"
+        "print(content_digest(dict(enumerate(values)), {}))\n"
+    )
+    said = subprocess.run([sys.executable, "-c", ours], check=True, capture_output=True, text=True).stdout
+    assert said.strip() == "71f5704c49b932745b2f2e757e4ef4be893426d749cb08ee86bc66e7a5b82330"  # as sets on disk have it
