@@ -5,14 +5,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-import cv2
 import numpy as np
 
 from novags.testbed.metrics.picture import Image
 from sensor_model.isp import linear_to_srgb, srgb_to_linear
 from simscenes.sets.pictures.exr import read_exr
 from simscenes.sets.pictures.exr_meaning import OPAQUE, refuse_clear, refuse_foreign, refuse_pixels
-from simscenes.sets.pictures.image_file import alpha_of, before_white, has_alpha, read_deep, read_image, stated_curve
+from simscenes.sets.pictures.image_file import (
+    COLOR,
+    alpha_of,
+    before_white,
+    has_alpha,
+    read_deep,
+    read_image,
+    stated_curve,
+)
 from simscenes.sets.pictures.meaning import Curve, is_deep
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".exr")
@@ -122,7 +129,7 @@ def _read_codes(file: Path, linear: bool) -> ForeignPicture:
     elif has_alpha(file):
         values = before_white(file)[0]
     else:
-        bgr = read_image(file, cv2.IMREAD_COLOR)
+        bgr = read_image(file, COLOR)
         values = np.ascontiguousarray(bgr[..., ::-1]).astype(np.float32) / np.float32(255)
     asked: Curve = "linear" if linear else "srgb"
     if (stated_curve(file) or asked if deep else "srgb") != asked:

@@ -5,14 +5,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, get_args
 
-import cv2
 import numpy as np
 
 from novags.testbed.folders.photographs.raw_files import BELOW, OVER, SOME, is_raw
 from novags.testbed.folders.photographs.raw_files import SUFFIXES as RAW
 from sensor_model.files.door import read_bytes
 from sensor_model.isp import srgb_to_linear
-from simscenes.sets.pictures.image_file import alpha_of, has_alpha, header, read_image, stated_curve
+from simscenes.sets.pictures.image_file import DEEP_COLOR, alpha_of, has_alpha, header, read_image, stated_curve
 from simscenes.sets.pictures.mosaic import refuse_mosaic
 
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", *RAW)
@@ -85,7 +84,7 @@ def read_stored(file: Path) -> np.ndarray:
     Raises:
         ValueError: If it cannot be read, is not 8 or 16 bits deep, or is a mosaic.
     """
-    pixels = read_image(file, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
+    pixels = read_image(file, DEEP_COLOR)
     if pixels.dtype not in (np.uint8, np.uint16):
         raise ValueError(f"{file} must hold 8- or 16-bit codes, got {pixels.dtype}: convert it to 16-bit PNG or TIFF")
     refuse_mosaic(pixels, file)

@@ -4,7 +4,6 @@ A picture is written at quality 95 and read back, and no colour is aligned. The 
 SSIM and shows no code; the detour through a file is one entrant's (Naka-GS), and the tables of its readers have it.
 """
 
-import cv2
 import numpy as np
 
 from novags.testbed.metrics.images import psnr, ssim
@@ -17,6 +16,8 @@ PROTOCOL = "RealX3D"
 
 def as_jpeg(image: Image) -> Image:
     """A picture [h,w,3], sRGB code in 0..1, as it is read back from a JPEG file of quality 95, float32."""
+    import cv2  # here: `novags list` asks each metric for its name
+
     codes = np.rint(255 * np.clip(image, 0.0, 1.0)).astype(np.uint8)
     _, content = cv2.imencode(".jpg", codes[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
     found = np.asarray(cv2.imdecode(content, cv2.IMREAD_COLOR))[..., ::-1]

@@ -10,7 +10,6 @@ from pathlib import Path
 from threading import Lock
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -36,6 +35,8 @@ from simscenes.sets.pictures.whole import whole_content
 # 23,170 x 23,170: above any camera's (phones have 200 million), and 1.6 GB as 8-bit RGB. A larger declared size is
 # refused before a byte is decoded, since a few kilobytes can declare a picture that fills any memory.
 MAX_PIXELS = 2**29
+# Flags of OpenCV by number: it is loaded with the first picture, and what the command line knows itself does not wait.
+STORED, COLOR, DEEP_COLOR = -1, 1, 3  # IMREAD_UNCHANGED, IMREAD_COLOR, IMREAD_COLOR | IMREAD_ANYDEPTH
 # PIL knows some forty more, tries them on a file of any name, and reserves as much memory as some of their headers say.
 FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "WEBP", "PPM", "JPEG2000")
 _PIL = Lock()  # its limit is one number for the whole process
@@ -103,9 +104,15 @@ def header(file: Path, *, pages: bool = False) -> Iterator[Any]:
 def read_image(file: Path, flags: int) -> NDArray[Any]:
     """Pixels as `cv2.imread` returns them with `flags`, [h,w] or [h,w,c], as stored: a mark of orientation is ignored.
 
+    Args:
+        file: The image.
+        flags: `STORED`, `COLOR` or `DEEP_COLOR`.
+
     Raises:
         ValueError: If it is missing, not a readable image, or larger than `MAX_PIXELS`.
     """
+    import cv2
+
     if not file.is_file():
         raise ValueError(f"{file} is missing or not a readable image")
     image_size(file)
@@ -130,8 +137,10 @@ def read_frames(file: Path) -> NDArray[Any]:
     Raises:
         ValueError: As `read_image`, or if pages differ in size, depth or kind, or are too many.
     """
+    import cv2
+
     if (count := like_pages(file)) < 2:
-        return read_image(file, cv2.IMREAD_UNCHANGED)[None]
+        return read_image(file, STORED)[None]
     with header(file, pages=True) as image:
         width, height = image.size
         problem = unfit(file, image, pages=count) or misread(file, deep=True)
@@ -151,6 +160,8 @@ def read_frames(file: Path) -> NDArray[Any]:
 @contextmanager
 def _quiet_opencv() -> Iterator[None]:
     """Keep OpenCV from writing lines of its own, of files that are then refused by name."""
+    import cv2
+
     global _decoding, _level
     # Version 5 has it in a module, 4 had it at the top; 0 is silent in both.
     logging: Any = getattr(cv2.utils, "logging", cv2)
@@ -168,6 +179,8 @@ def _quiet_opencv() -> Iterator[None]:
 
 
 def _decoded(file: Path, content: bytes, flags: int) -> Any:
+    import cv2
+
     # OpenCV turns TIFFs with any flags, and multiplies 8-bit colours by alpha where the file has not done so.
     changed = retagged(file, {ORIENTATION: AS_STORED, EXTRA_SAMPLES: PREMULTIPLIED})
     return cv2.imdecode(np.frombuffer(content if changed is None else changed, np.uint8), flags)
@@ -199,7 +212,7 @@ def read_rgb(file: Path) -> NDArray[np.uint8]:
         return np.asarray(to_srgb8(read_light(file)), np.uint8)
     if file.is_file() and has_alpha(file):
         return np.asarray(np.round(255 * before_white(file)[0]), np.uint8)
-    pixels = read_image(file, cv2.IMREAD_COLOR)
+    pixels = read_image(file, COLOR)
     refuse_mosaic(pixels, file)
     return np.ascontiguousarray(pixels[..., ::-1])
 
@@ -224,7 +237,7 @@ def read_deep(file: Path) -> NDArray[np.float32]:
     """
     if has_alpha(file):
         return before_white(file)[0]
-    pixels = read_image(file, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
+    pixels = read_image(file, DEEP_COLOR)
     if pixels.dtype != np.uint16:
         raise ValueError(f"{file} must hold 8- or 16-bit codes, got {pixels.dtype}: convert it to 16-bit PNG or TIFF")
     refuse_mosaic(pixels, file)
@@ -264,7 +277,7 @@ def before_white(file: Path) -> tuple[NDArray[np.float32], int]:
     Raises:
         ValueError: If it is not a readable image, or larger than `MAX_PIXELS`.
     """
-    found = read_image(file, cv2.IMREAD_UNCHANGED)
+    found = read_image(file, STORED)
     if found.ndim == 3 and found.shape[2] == 4:
         bits, codes = 8 * found.dtype.itemsize, found[..., [2, 1, 0, 3]].astype(np.float32)
     else:  # OpenCV drops the alpha of some kinds, gray ones above all

@@ -2,11 +2,10 @@
 
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from sensor_model.files.atomic import atomic
-from simscenes.sets.pictures.image_file import read_image
+from simscenes.sets.pictures.image_file import DEEP_COLOR, read_image
 
 
 def read_png(path: Path) -> np.ndarray:
@@ -26,7 +25,7 @@ def read_codes(path: Path) -> np.ndarray:
         ValueError: If the file is missing, unreadable, or of a different depth.
     """
     try:
-        bgr = read_image(path, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
+        bgr = read_image(path, DEEP_COLOR)
     except ValueError as error:
         raise ValueError(f"{error}: run the stage that makes it again") from error
     if bgr.dtype not in (np.uint8, np.uint16):
@@ -52,6 +51,8 @@ def write_codes(path: Path, codes: np.ndarray) -> None:
     Raises:
         OSError: If the file cannot be written.
     """
+    import cv2
+
     encoded = cv2.imencode(".png", codes)[1]
     with atomic(path) as temporary:
         temporary.write_bytes(encoded.tobytes())

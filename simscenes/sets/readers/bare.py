@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -57,6 +56,8 @@ class Bare:
         Raises:
             ValueError: If the file cannot be read.
         """
+        import cv2
+
         found = read_rgb(self.file)
         if self.turned:
             found = np.ascontiguousarray(np.rot90(found))

@@ -9,7 +9,16 @@ import numpy as np
 import PIL.Image
 import pytest
 
-from simscenes.sets.pictures.image_file import MAX_PIXELS, has_alpha, image_size, read_image, read_rgb
+from simscenes.sets.pictures.image_file import (
+    COLOR,
+    DEEP_COLOR,
+    MAX_PIXELS,
+    STORED,
+    has_alpha,
+    image_size,
+    read_image,
+    read_rgb,
+)
 
 
 def declared(path: Path, width: int, height: int) -> Path:
@@ -48,6 +57,11 @@ def test_what_is_no_image_is_refused_by_name(content: bytes, tmp_path: Path) -> 
     (tmp_path / "x.png").write_bytes(content)
     with pytest.raises(ValueError, match=r"x\.png is not a readable image"):
         read_image(tmp_path / "x.png", cv2.IMREAD_COLOR)
+
+
+def test_flags_by_number_are_those_of_opencv() -> None:
+    assert (STORED, COLOR) == (cv2.IMREAD_UNCHANGED, cv2.IMREAD_COLOR)
+    assert DEEP_COLOR == cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH
 
 
 def test_pixels_are_those_of_opencv(tmp_path: Path) -> None:

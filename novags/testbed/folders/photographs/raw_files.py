@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from novags.testbed.folders.photographs.dng_meaning import EVEN, read_dng
@@ -352,6 +351,8 @@ def _check_codes(codes: np.ndarray, raw: Any, path: Path) -> None:
 
 def _darkest(codes: np.ndarray) -> float:
     """The code of the darkest squares of a picture."""
+    import cv2
+
     size = max(1, codes.shape[1] // SQUARE), max(1, codes.shape[0] // SQUARE)
     return float(np.quantile(cv2.resize(np.ascontiguousarray(codes), size, interpolation=cv2.INTER_AREA), DARK))
 

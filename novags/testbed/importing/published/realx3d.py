@@ -20,7 +20,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -30,7 +29,7 @@ from sensor_model.files.reading import brief, some
 from simscenes.rigs import Rig, opengl_to_opencv, rotation_error
 from simscenes.sets.geometry.tracks import SparsePoints
 from simscenes.sets.multiview import MultiviewSet
-from simscenes.sets.pictures.image_file import read_image
+from simscenes.sets.pictures.image_file import STORED, read_image
 from simscenes.sets.readers.colmap import colmap_lens, colmap_views, is_model, read_points
 from simscenes.sets.readers.finding import find_files
 from simscenes.sets.readers.photographs import FrameEntry, Photographs, collect, transforms_frames, transforms_lens
@@ -266,7 +265,7 @@ def read_depth(file: Path, width: int, height: int) -> NDArray[np.float32]:
     Raises:
         ValueError: If the file is not a grey picture of 16 bits, or of another shape than the view.
     """
-    codes = read_image(file, cv2.IMREAD_UNCHANGED)
+    codes = read_image(file, STORED)
     if codes.dtype != np.uint16 or codes.ndim != 2:
         raise ValueError(f"{file} must be a grey picture of 16 bits (millimetres), got {codes.dtype} {codes.shape}: "
                          "download it again")  # fmt: skip
