@@ -41,7 +41,7 @@ class Verified:
 
     Attributes:
         run: Name of the run.
-        stage: "set", "capture", "run" or "scores"; of a study "tables".
+        stage: "set", "capture", "run" or "scores"; "all of it" where none could begin; of a study "tables".
         parts: How many files it has, or scores.
         differ: Names of files with another content, or of scores with another value.
         largest: Of scores in dB, the largest difference; None for files.
@@ -87,8 +87,8 @@ def chosen_runs(folders: Sequence[Path], count: int, seed: int) -> dict[str, Run
 def verify(runs: Mapping[str, Run], out: Path, console: Console, tables: Sequence[Verified] = ()) -> list[Verified]:
     """Make these runs again below `out`; writes `RECORD`, with the tables of their studies first.
 
-    Raises:
-        ValueError: If a run, its capture or its set cannot be read or have changed since they were recorded.
+    What cannot be made again is said, and does not cost the others: runs that are damaged, or whose inputs have changed
+    since they were recorded; stages that need something which is not here.
     """
     made = dict[Path, Verified]()
     found = [
@@ -100,14 +100,17 @@ def verify(runs: Mapping[str, Run], out: Path, console: Console, tables: Sequenc
 
 
 def _stages(name: str, run: Run, folder: Path, console: Console, made: dict[Path, Verified]) -> Iterator[Verified]:
-    scores = run.scores()
-    capture, source = run.inputs(console)
+    try:
+        scores, (capture, source) = run.scores(), run.inputs(console)
+    except ValueError as why:
+        yield Verified(name, "all of it", why_not=str(why))
+        return
     case = Case(run, capture, source, scores or {})
 
     def again(stage: str, before: Mapping[str, Any], make: Callable[[], Mapping[str, Any]]) -> Verified:
         try:
             new, old = make()["stage"]["files"], before["files"]
-        except ValueError as why:  # one run that cannot be made again here does not cost the others
+        except ValueError as why:
             return Verified(name, stage, why_not=str(why))
         differ = sorted(each for each in {*old, *new} if old.get(each) != new.get(each))
         return Verified(name, stage, len({*old, *new}), tuple(differ))

@@ -186,12 +186,19 @@ def test_captures_that_need_files_of_the_user_say_so(sensor: str, more: dict[str
         taking_of(capture)
 
 
-@pytest.mark.parametrize("part", ["capture", "set"])
-def test_inputs_that_have_changed_are_refused_before(part: str, place: Path) -> None:
-    picture = place / part / "images" / "0001.png"
+@pytest.mark.parametrize("file", ["capture/images/0001.png", "set/images/0001.png", "runs/naive/renders/0000.png"])
+def test_a_run_with_a_file_that_has_changed_is_named_and_does_not_cost_the_others(file: str, place: Path) -> None:
+    """The others here are of another capture and set."""
+    shutil.copytree(place, place.parent / "sound")
+    picture = place / file
     picture.write_bytes(picture.read_bytes()[::-1])
-    with pytest.raises(ValueError, match="0001.png"):
-        found(place, "naive")
+    runs = [place / "runs" / "naive", place.parent / "sound" / "runs" / "raw-gs"]
+    bad, *good = verify(chosen_runs(runs, 9, 0), place.parent / "again", QUIET)
+    assert bad.line().startswith("naive: all of it: not made again: ")
+    assert picture.name in bad.why_not
+    assert not bad.same
+    assert [part.stage for part in good] == STAGES
+    assert all(part.same for part in good)
 
 
 def test_runs_are_drawn_by_the_seed_and_stay_in_their_order(made: Path) -> None:
