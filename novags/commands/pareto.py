@@ -38,8 +38,8 @@ def pareto(
     from novags.numbers import check_range
     from novags.testbed.ledger.dry import planned
     from novags.testbed.report.curves.page import written
-    from novags.testbed.study.curves.study import again, plans, subject_of, told
-    from novags.testbed.study.session import refuse_other
+    from novags.testbed.study.curves.study import plans, subject_of, told
+    from novags.testbed.study.session import again, refuse_other
 
     check_range("repeats", 1 if repeats is None else repeats, 1, 1000)
     folder, failed = store_folder(store, out), 0
@@ -49,8 +49,8 @@ def pareto(
             name = subject_of(plan)
             if not overwrite:
                 refuse_other(plan, out / name)
-            if why := again(plan, out / name):
-                console.note(f"pareto {name}: measured again: {why}")
+            if why := again(plan, out / name, folder):
+                console.note(f"pareto {name}: made again: {why}")
             if dry_run:
                 for line in told(plan, folder):
                     console.note(line)

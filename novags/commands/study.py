@@ -155,11 +155,13 @@ def _conduct(
     from novags.testbed.study.elsewhere.nodes import known
     from novags.testbed.study.elsewhere.remote import Remote
     from novags.testbed.study.results import CSV, counted
-    from novags.testbed.study.session import describe, refuse_other
+    from novags.testbed.study.session import again, describe, refuse_other
 
     with writing(out, wait) as console:
         if not overwrite:
             refuse_other(plan, out)
+        if why := again(plan, out, folder):
+            console.note(f"study: made again, {why}")
         describe(plan, out, folder, url)
         finished = known(plan, Remote(url), folder) if url else None
         rows = conduct(plan, out, folder, console, engine, retry_failed=retry_failed, known=finished, url=url)

@@ -1,4 +1,4 @@
-"""The folder of a study: whose it is, and the changes of its file that it allows.
+"""The folder of a study: whose it is, the changes of its file that it allows, and why finished results are made again.
 
 study.json       the file, its combinations and where their runs are in the store
 results.csv      results.json      one row a run
@@ -7,17 +7,27 @@ failures.json    failed tasks, by key; tried again on request
 logs/            the output of each task
 """
 
+import json
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from novags.testbed.folders.capture import RECORD as CAPTURE
 from novags.testbed.folders.run import RECORD
 from novags.testbed.folders.runs import EXPERIMENT, ROWS, STUDY, TABLE
+from novags.testbed.ledger.code import code_of
 from novags.testbed.ledger.contents import jsonable, read_json, write_json
+from novags.testbed.ledger.difference import from_request, listed
+from novags.testbed.ledger.made import made_with
+from novags.testbed.ledger.stage import MADE
+from novags.testbed.ledger.store import SEAL
 from novags.testbed.study.cells.grid import Study
+from novags.testbed.study.knobs.measurement import MEASURED
 from novags.testbed.study.plan import StudyPlan
 from novags.testbed.study.results import CSV, place_of
 
+RECORDS = {"run": RECORD, "capture": CAPTURE, "measurement": MEASURED}  # by what a study ends with
 SHAPE: Any = {"file": str, "table": dict, "runs": [{"values": dict, "key": str, "folder": str}]}
 
 
@@ -77,6 +87,28 @@ def refuse_other(plan: StudyPlan, out: Path) -> None:
         first = ", ".join(f"{name} {value}" for name, value in lost[0].items())
         raise ValueError(f"{out} holds {len(lost)} finished runs ({first}{', ...' * (len(lost) > 1)}) that "
                          f"{plan.study.path} does not have: {remedy}")  # fmt: skip
+
+
+def again(plan: StudyPlan, out: Path, store: Path) -> str:
+    """How many finished results in the table in `out` have to be made again, and why the first one; "" if none has."""
+    rows = read_json(out / TABLE, ROWS)["rows"] if (out / TABLE).exists() else []
+    before = {_values(plan, row): out / row["folder"] for row in rows if row["state"] == "done"}
+    found = [(folder, plan.tasks[key]) for cell, key in plan.runs
+             if (folder := before.get(_values(plan, jsonable(cell.values)))) is not None]  # fmt: skip
+    record = RECORDS[plan.study.ends]
+    found = [(folder, task) for folder, task in found if not (task.folder(store) / SEAL).exists()]
+    other = [(folder, task) for folder, task in found if folder.name != task.name and (folder / record).exists()]
+    if not other:
+        return ""
+    folder, task = other[0]
+    changed = made_with(folder, record).changed_in(code_of(*task.roots))
+    why = from_request(read_json(folder / record, MADE).get("stage", {}), jsonable(task.config.resolved()), {})
+    told = listed([*why, *([changed] if changed else [])]) or "their set or capture is made again"
+    return f"{len(other)} of {len(before)}: {told}"
+
+
+def _values(plan: StudyPlan, values: Mapping[str, Any]) -> str:
+    return json.dumps([values.get(name) for name in plan.study.axes])
 
 
 def _as_text(value: Any) -> Any:

@@ -1,21 +1,12 @@
-"""The studies behind curves: the file of each subject that ships, its missing measurements, and why one is made
-again.
-"""
+"""The studies behind curves: the file of each subject that ships, and its missing measurements."""
 
-import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from novags.testbed.console.terminal import Console
-from novags.testbed.folders.runs import ROWS, TABLE
-from novags.testbed.ledger.contents import read_json
-from novags.testbed.ledger.difference import from_request, listed
 from novags.testbed.ledger.dry import NOT_DONE
-from novags.testbed.ledger.made import made_with
-from novags.testbed.ledger.stage import MADE
 from novags.testbed.study.conduct import there
 from novags.testbed.study.curves.measuring import measurements_of
-from novags.testbed.study.knobs.measurement import MEASURED
 from novags.testbed.study.knobs.subjects import PARTS, chosen
 from novags.testbed.study.plan import StudyPlan, plan_of
 from sensor_model.files.toml_file import read_toml
@@ -76,18 +67,3 @@ def told(plan: StudyPlan, store: Path) -> Iterator[str]:
             yield f"pareto {name}: {knob}: {count} measurements to be made, {len(keys & known)} kept {NOT_DONE}"
         elif keys:
             yield f"pareto {name}: {knob}: unchanged, kept {len(keys)} measurements"
-
-
-def again(plan: StudyPlan, out: Path) -> str:
-    """Why the measurements in the table in `out` are made again; "" if they are not."""
-    rows = read_json(out / TABLE, ROWS)["rows"] if (out / TABLE).exists() else []
-    before = {tuple(row.get(name) for name in plan.study.axes): row["folder"] for row in rows if row["state"] == "done"}
-    for cell, key in plan.runs:
-        task = plan.tasks[key]
-        folder = out / before.get(tuple(cell.values.values()), "")
-        if folder == out or folder.name == task.name or not os.path.exists(folder / MEASURED):
-            continue
-        stage = read_json(folder / MEASURED, MADE).get("stage", {})
-        changed = made_with(folder, MEASURED).changed_in(task.config.code)
-        return listed([*from_request(stage, task.config.resolved(), {}), *([changed] if changed else [])])
-    return ""

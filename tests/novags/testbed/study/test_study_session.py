@@ -7,8 +7,10 @@ from typing import Any
 
 import pytest
 
+from novags.testbed.ledger.code import Code
+from novags.testbed.study import session
 from novags.testbed.study.cells.grid import Study
-from novags.testbed.study.session import describe, refuse_other
+from novags.testbed.study.session import again, describe, refuse_other
 
 VALUES = [{"scene": scene, "method": method} for scene in "st" for method in ("a", "b")]
 
@@ -61,3 +63,38 @@ def test_results_of_something_else_are_not_replaced(tmp_path: Path, name: str) -
     (tmp_path / name).write_text("{}")
     with pytest.raises(ValueError, match=f"already holds {name}, and no study wrote that"):
         refuse_other(plan(tmp_path), tmp_path)
+
+
+def run_of(out: Path, name: str, *, code: dict[str, str], **config: Any) -> str:
+    """A finished run of another code or configuration, below a store; its folder from the study's."""
+    folder = out / "store" / "run" / name
+    folder.mkdir(parents=True)
+    (folder / "run.json").write_text(json.dumps({"stage": {"config": config}}))
+    made = {"date": "2026-11-30T10:00:00+00:00", "code": code, "texts": {}}
+    (folder / ".run.json").write_text(json.dumps(made))
+    return f"store/run/{name}"
+
+
+def test_finished_runs_that_have_to_be_made_again_are_counted_with_the_reason(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rationale: "0/48 runs" beside an hour of results looked as if they were lost."""
+    monkeypatch.setattr(session, "code_of", lambda *roots: Code({"a.py": "new"}, {}, roots))
+    found, store = plan(tmp_path), tmp_path / "store"
+    for task in found.tasks.values():
+        task.roots, task.config = ("a",), SimpleNamespace(resolved=lambda: {"points": (1, 2)})
+    assert again(found, tmp_path, store) == ""  # nothing is there
+    same = run_of(tmp_path, "run-0", code={"a.py": "new"}, points=[1, 2])
+    other = run_of(tmp_path, "old-1", code={"a.py": "old"}, points=[1, 2])
+    places = [("done", same), ("done", other), ("failed", other), ("done", "gone")]
+    rows = [{**VALUES[k], "state": state, "folder": folder} for k, (state, folder) in enumerate(places)]
+    (tmp_path / "results.json").write_text(json.dumps({"axes": {"scene": [], "method": []}, "rows": rows}))
+    assert again(found, tmp_path, store).startswith("1 of 3: a.py has changed since 30 November")
+    rows[2] = {**VALUES[2], "state": "done", "folder": run_of(tmp_path, "old-2", code={"a.py": "new"}, points=[1, 3])}
+    (tmp_path / "results.json").write_text(json.dumps({"axes": {"scene": [], "method": []}, "rows": rows}))
+    assert again(found, tmp_path, store).startswith("2 of 4: a.py has changed")
+    (store / "run" / "run-1").mkdir()
+    (store / "run" / "run-1" / ".sealed.json").write_text("{}")  # another study has made it since
+    assert again(found, tmp_path, store) == "1 of 4: points was [1, 3], is [1, 2]"
+    (store / "run" / "old-2" / "run.json").write_text(json.dumps({"stage": {"config": {"points": [1, 2]}}}))
+    assert again(found, tmp_path, store) == "1 of 4: their set or capture is made again"

@@ -11,12 +11,12 @@ from novags.testbed.folders.runs import TABLE
 from novags.testbed.study.costs import Costs
 from novags.testbed.study.curves.curve import curves
 from novags.testbed.study.curves.measuring import read_any
-from novags.testbed.study.curves.study import again, told
+from novags.testbed.study.curves.study import told
 from novags.testbed.study.engines.choice import OneMachine
 from novags.testbed.study.knobs import measurement
 from novags.testbed.study.knobs.subjects import sizes_of
 from novags.testbed.study.results import CSV
-from novags.testbed.study.session import refuse_other
+from novags.testbed.study.session import again, refuse_other
 
 QUIET = Console(quiet=True)
 FIRST = [("steps", 1, 0), ("steps", 10, 0), ("steps", 100, 0), ("way", "bb", 0), ("way", None, 0), ("lone", 1.5, 0),
@@ -91,7 +91,7 @@ def test_measurements_of_other_work_another_machine_or_other_software_are_never_
 ) -> None:
     made.measure()
     before = made.plan()
-    assert again(before, made.folder / "made") == ""
+    assert again(before, made.folder / "made", made.store) == ""
     if what == "code":
         made.modules = (*made.modules, "novags.numbers")
     elif what != "workload":
@@ -107,7 +107,7 @@ def test_measurements_of_other_work_another_machine_or_other_software_are_never_
         "workload": "workload.size",
         "code": "novags/numbers.py",
     }
-    assert said[what] in again(plan, made.folder / "made")
+    assert said[what] in again(plan, made.folder / "made", made.store)
     if what == "workload":
         with pytest.raises(ValueError, match="finished runs of another study .*override.*: choose another --out"):
             refuse_other(plan, made.folder / "made")
@@ -128,7 +128,7 @@ def test_one_measurement_of_other_software_among_new_ones_is_said(made: Any, mon
     new = json.loads(table.read_text())
     for rows in (new["rows"][:1] + old["rows"][1:], old["rows"][:1] + new["rows"][1:]):
         table.write_text(json.dumps(new | {"rows": rows}))
-        assert "numba" in again(made.plan(), made.folder / "made")
+        assert "numba" in again(made.plan(), made.folder / "made", made.folder / "another store")
 
 
 def test_a_damaged_measurement_is_made_again(made: Any) -> None:
