@@ -92,6 +92,7 @@ def read_frames(folder: Path, window: int = 1024, notes_of: Path | None = None) 
             f"{(notes_of or folder) / 'frames.toml'} names stacks that are not there: {', '.join(unknown)}"
         )
     everything = [file for stack in files.values() for file in stack]
+    _refuse_untold(folder, files, notes)
     stacks = {name: _stack(folder / name, stack, notes["stacks"].get(name, {})) for name, stack in files.items()}
     named = ISO_NAME.fullmatch(folder.name)
     paths = [path for name in files for path in listed(folder / name)]
@@ -100,11 +101,24 @@ def read_frames(folder: Path, window: int = 1024, notes_of: Path | None = None) 
         flat=[stack for name, stack in stacks.items() if name.startswith("flat/")],
         iso=check_iso(paths, OF_FRAMES, float(named[1]) if named else None, "the name of the folder"),
         cfa=agreed("cfa", notes["cfa"], [f.cfa for f in everything], folder, "none"),
-        bits=agreed("bits", notes["bits"], [f.bits for f in everything], folder, None, "bits = N"),
+        bits=agreed("bits", notes["bits"], [f.bits for f in everything], folder, None),
         camera=notes["camera"],
     )
     check_codes(stacks, frames.cfa, frames.bits, folder)
     return frames
+
+
+def _refuse_untold(folder: Path, files: dict[str, list[CalibrationFrame]], notes: dict[str, Any]) -> None:
+    """Refuse frames of which neither the files nor frames.toml say what is needed: all of it at once."""
+    timed = {name for name, stack in files.items() if any(file.time is not None for file in stack)}
+    told = {name for name, note in notes["stacks"].items() if "time" in note}
+    lines = [f'[stacks."{name}"] and below it time = SECONDS' for name in files if name not in timed | told]
+    what = ["exposure times"] if lines else []
+    if notes["bits"] is None and not any(file.bits is not None for stack in files.values() for file in stack):
+        what, lines = ["bits", *what], ["bits = N", *lines]
+    if lines:
+        raise ValueError(f"the files in {folder} do not state their {' and '.join(what)}: give in frames.toml "
+                         f"{'; '.join(lines)}")  # fmt: skip
 
 
 def stacks_in(folder: Path, kind: str) -> list[Path]:
@@ -195,20 +209,16 @@ def _stack(path: Path, files: list[CalibrationFrame], note: dict[str, float]) ->
         raise ValueError(f"{path} must hold frames of one size, got {sorted(sizes) or 'no frames'}")
     if unknown := sorted(set(note) - {"time", "photons"}):
         raise ValueError(f"frames.toml: stack {path.name} has unknown {', '.join(unknown)}; available: time, photons")
-    lines = f'the line [stacks."{path.parent.name}/{path.name}"] and below it time = SECONDS'
-    time = agreed("exposure time", note.get("time"), [f.time for f in files], path, None, lines)
+    time = agreed("exposure time", note.get("time"), [f.time for f in files], path, None)
     return Stack(np.concatenate([f.dn for f in files]), float(time), note.get("photons"))
 
 
-def agreed(what: str, given: Any, found: list[Any], where: Path, default: Any, lines: str = "it") -> Any:
-    """The value in frames.toml, where `lines` state it, else the value that all files state, else the default."""
+def agreed(what: str, given: Any, found: list[Any], where: Path, default: Any) -> Any:
+    """The value in frames.toml, else the value that all files state, else the default."""
     told = {value for value in found if value is not None}
     if given is None and len(told) > 1:
         raise ValueError(f"the files in {where} differ in {what}: {', '.join(map(str, sorted(told)))}")
-    value = given if given is not None else next(iter(told), default)
-    if value is None:
-        raise ValueError(f"the files in {where} do not state their {what}: give {lines} in frames.toml")
-    return value
+    return given if given is not None else next(iter(told), default)
 
 
 def plane(stacks: list[Stack], place: int) -> list[Stack]:

@@ -123,8 +123,9 @@ def test_only_the_middle_is_read_and_keeps_its_pattern(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("notes", "message"),
     [
-        ("TIMES bits", "do not state their bits: give bits = N in frames.toml"),
-        ("bits = 12", r'exposure time: give the line \[stacks."dark/0"\] and below it time = SECONDS in frames.toml'),
+        ("TIMES bits", "do not state their bits: give in frames.toml bits = N$"),
+        ("bits = 12", r'exposure times: give in frames.toml \[stacks."dark/0"\] and below it time = SECONDS; \[stacks'),
+        ("", r'their bits and exposure times: give in frames.toml bits = N; .*\[stacks."dark/4"\] .*"flat/0"\] and'),
         ("bits = 12\nlens = 3", "unknown lens"),
         ("bits = ", "frames.toml"),
         ('bits = 12\n[stacks."dark/9"]\ntime = 1.0', "stacks that are not there: dark/9"),
