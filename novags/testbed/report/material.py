@@ -68,6 +68,7 @@ class Material:
     unavailable: Mapping[str, str] = field(default_factory=dict)  # scores that could not be computed, and why
     unregistered: Mapping[str, tuple[Sequence[str], int]] = field(default_factory=dict)  # without a camera; with one
     lost: int = 0  # finished runs that are not on this machine, or cannot be read
+    other: tuple[int, ...] = ()  # rows with other scores than their runs have, by number
 
     @property
     def title(self) -> str:

@@ -18,6 +18,7 @@ from novags.testbed.report.material import Material, RunRecords, made_of
 from novags.testbed.report.place import Place
 from novags.testbed.report.rows import looks_of
 from novags.testbed.study.light import MEASURES, METHOD
+from novags.testbed.study.results import flat_scores
 from sensor_model.files.records import check_shape, read_record
 
 AGAIN = "run the study again: finished work is kept"
@@ -47,7 +48,8 @@ def study_material(folder: Path, path: Path) -> Material:
     made, lost = read_made(folder, rows)
     runs = {each.run.name: each.run for each in made.values()}
     looks = looks_of(dict.fromkeys(str(row[METHOD]) for row in rows), study["table"], runs)
-    found = Material(path, rows, axes, looks, made, places={}, study=(folder, study), unseen={}, lost=len(lost))
+    found = Material(path, rows, axes, looks, made, places={}, study=(folder, study), unseen={}, lost=len(lost),
+                     other=other_scores(rows, made))  # fmt: skip
     opened = lru_cache(maxsize=1)(_opened)  # neighbours often share a capture, with all that was computed from it
     for members in by_place(found.lines).values():
         capture, runs = chosen(members, found)
@@ -90,6 +92,18 @@ def read_made(folder: Path, rows: Sequence[Mapping[str, Any]]) -> tuple[dict[int
         except (ValueError, OSError):
             lost.append(number)
     return found, lost
+
+
+def other_scores(rows: Sequence[Mapping[str, Any]], made: Mapping[int, RunRecords]) -> tuple[int, ...]:
+    """The numbers of rows with other scores than their runs have: scored again since, or changed by hand."""
+
+    def differs(row: Mapping[str, Any]) -> bool:
+        each = made.get(int(row["run"]))
+        own = each.run.scores() if each else None
+        scores = flat_scores(own) if own else {}
+        return any(row[name] != value for name, value in scores.items() if name in row)
+
+    return tuple(int(row["run"]) for row in rows if differs(row))
 
 
 def chosen(members: Sequence[Line], material: Material) -> tuple[Path | None, dict[str, Run]]:

@@ -340,7 +340,7 @@ def test_a_study_ends_with_the_ranking_and_the_next_command(
     monkeypatch.setattr("novags.testbed.study.conduct.conduct", lambda *a, **b: rows)
     for name in ("refuse_other", "describe"):
         monkeypatch.setattr(f"novags.testbed.study.session.{name}", lambda *a: None)
-    plan: Any = SimpleNamespace(study=SimpleNamespace(axes=axes))
+    plan: Any = SimpleNamespace(study=SimpleNamespace(axes=axes, ends="run"), runs=())
     study._conduct(plan, out, tmp_path / "store", None, None, False, False, False)  # type: ignore[arg-type]
     said = capsys.readouterr()
     assert lines_said(said.out) == RANKED

@@ -10,6 +10,7 @@ from novags.testbed.metrics.differences import Estimate
 from novags.testbed.report.blocks import scores
 from novags.testbed.report.grid import Line
 from novags.testbed.report.rows import Row
+from novags.testbed.report.study import other_scores
 
 
 @pytest.fixture(autouse=True)
@@ -42,7 +43,7 @@ def table_of_many(study: bool = False) -> tuple[dict[str, Any], Any]:
     looks = {name: look(name) for name in "ab"}
     material: Any = SimpleNamespace(
         one=None, lines=lines, rows=runs,
-        varied=["level"], looks=looks, lost=0, study=(Path("f"), {}) if study else None,
+        varied=["level"], looks=looks, lost=0, other=(), study=(Path("f"), {}) if study else None,
         made={k: SimpleNamespace(name="ab"[k % 2], run=SimpleNamespace(name="ab"[k % 2])) for k in (1, 2)},
         commands={k: None if k == 2 else f"novags {k}" for k in range(1, 9)}, path=Path("g/report.html"),
     )  # fmt: skip
@@ -78,8 +79,8 @@ def test_what_any_line_has_is_said_of_the_table(last: int, monkeypatch: pytest.M
     lines[last].spread["lit.lpips"] = (0.1, None)
     lines[last].alike = False
     looks = {name: look(name) for name in "ab"}
-    material: Any = SimpleNamespace(one=None, lines=lines, rows=[], varied=[], looks=looks, lost=0, study=None, made={},
-                                    commands={}, path=Path("g/report.html"))  # fmt: skip
+    material: Any = SimpleNamespace(one=None, lines=lines, rows=[], varied=[], looks=looks, lost=0, other=(),
+                                    study=None, made={}, commands={}, path=Path("g/report.html"))  # fmt: skip
     found = scores.scores(material, SimpleNamespace(views={}))  # type: ignore[arg-type]
     assert (found["seeds"], found["alike"], found["no_lpips"]) == (True, False, False)
     assert found["in_linear_light"] == ["ab"[last]]
@@ -165,8 +166,8 @@ def test_a_line_is_compared_with_all_lines_of_its_place_and_no_other(monkeypatch
 
     monkeypatch.setattr(scores, "_line", seen)
     looks = {name: look(name) for name in "ab"}
-    material: Any = SimpleNamespace(one=None, lines=lines, rows=[], varied=["level"], looks=looks, lost=0, study=None,
-                                    made={}, commands={}, path=Path("g/report.html"))  # fmt: skip
+    material: Any = SimpleNamespace(one=None, lines=lines, rows=[], varied=["level"], looks=looks, lost=0, other=(),
+                                    study=None, made={}, commands={}, path=Path("g/report.html"))  # fmt: skip
     scores.scores(material, SimpleNamespace(views={}))  # type: ignore[arg-type]
     assert near == {"a0": [0], "a1": [1, 2], "b1": [1, 2], "b2": [3]}
 
@@ -176,8 +177,8 @@ def test_where_no_score_decides_the_places_are_by_the_first_column() -> None:
              for k, name in enumerate("ab")]  # fmt: skip
     lines[0].places["lit.lpips"], lines[1].places["lit.lpips"] = 2, 1  # the other way round
     looks = {name: look(name) for name in "ab"}
-    material: Any = SimpleNamespace(one=None, lines=lines, rows=[], varied=[], looks=looks, lost=0, study=None, made={},
-                                    commands={}, path=Path("g/report.html"))  # fmt: skip
+    material: Any = SimpleNamespace(one=None, lines=lines, rows=[], varied=[], looks=looks, lost=0, other=(),
+                                    study=None, made={}, commands={}, path=Path("g/report.html"))  # fmt: skip
     table = scores.scores(material, SimpleNamespace(views={}))["table"]  # type: ignore[arg-type]
     assert [[cell.text for cell in row.cells] for row in table.rows] == [
         ["1", "a", "1", "20.00", "0.100"], ["2", "b", "1", "20.00", "0.100"],
@@ -226,3 +227,18 @@ def test_every_kind_of_scores_of_a_place_is_a_table_or_a_sentence(monkeypatch: p
     assert sorted(found["unscored"]) == ["no light", "no truth"]
     assert found["methods"] == [("a", "by a"), ("b", "by b")]
     assert set(page.data["looks"]) == {"a", "b"}
+
+
+def test_rows_that_say_other_scores_than_their_runs_are_found() -> None:
+    """Rationale: a number changed by hand in results.json stood in the report as if the run had it."""
+    found = {"mean": {"lit": {"psnr": 20.0, "ssim": None}}, "seconds": {"render": 1.0}, "peak_bytes": 7}
+    run = SimpleNamespace(run=SimpleNamespace(scores=lambda: found))
+    unscored = SimpleNamespace(run=SimpleNamespace(scores=lambda: None))
+    own = {"lit.psnr": 20.0, "lit.ssim": None, "seconds.render": 1.0, "peak_bytes": 7, "scene": "a"}
+    changed = {"lit.psnr": 23.0}
+    told: list[dict[str, float]] = [{}, changed, {"lit.ssim": 0.9}, changed, changed, {"own.score": 3.0}]
+    rows = [own | more | {"run": number} for number, more in enumerate(told, 1)]
+    made: Any = {1: run, 2: run, 3: run, 4: unscored, 6: run}  # 5 is not on this machine
+    assert other_scores(rows, made) == (2, 3)
+    del rows[1]["lit.psnr"]  # a table of before the score was there
+    assert other_scores(rows, made) == (3,)
