@@ -101,28 +101,36 @@ def measured(capture: Any, cameras: str, seed: int) -> dict[str, float]:
 
 def measured_poses(capture: Any, cameras: str, seed: int) -> dict[str, float]:
     """The same of `novags poses` with the settings after the colon; no depth."""
+    from novags.testbed.stages.camera_source import true_cameras
+
+    settings = dict(one.split("=") for one in cameras[6:].split(",") if one)
+    codes = [np.round(255 * capture.srgb8(i)).astype(np.uint8) for i in range(len(capture.cameras.rig))]
+    start = time.process_time()
+    found = found_by_poses(codes, capture.cameras.rig.Ks[0], true_cameras(capture).numpy(), seed, **settings)
+    return found | {"depth": math.nan, "seconds": time.process_time() - start}
+
+
+def found_by_poses(
+    codes: Sequence[np.ndarray], K: np.ndarray, true: np.ndarray, seed: int, **settings: Any
+) -> dict[str, float]:
+    """Scores of the cameras that `novags poses` finds of pictures [H, W, 3] uint8 whose headers say a focal length."""
     from novags.testbed import stages
     from novags.testbed.console.terminal import Console
-    from novags.testbed.stages.camera_source import true_cameras
     from novags.testbed.stages.configs.posing import PosesConfig
     from simscenes import load_set
 
-    settings: dict[str, Any] = dict(one.split("=") for one in cameras[6:].split(",") if one)
-    rig, start = capture.cameras.rig, time.process_time()
     exif, registered, viewmats = Image.Exif(), list[int](), np.zeros((0, 4, 4))
-    exif.get_ifd(0x8769)[0xA405] = round(43.267 * rig.Ks[0, 0, 0] / math.hypot(rig.width, rig.height))  # 35 mm
+    exif.get_ifd(0x8769)[0xA405] = round(43.267 * K[0, 0] / math.hypot(*codes[0].shape[:2]))  # 35 mm
     with TemporaryDirectory() as folder:
         (taken := Path(folder) / "taken").mkdir()
-        for i in range(len(rig)):
-            picture = Image.fromarray(np.round(255 * capture.srgb8(i)).astype(np.uint8))
-            picture.save(taken / f"{i:04d}.png", exif=exif)
+        for i, picture in enumerate(codes):
+            Image.fromarray(picture).save(taken / f"{i:04d}.png", exif=exif)
         with suppress(ValueError):  # too few views, which is a measurement too
             config = PosesConfig(photographs=taken, seed=seed, **settings)
             stages.poses(Path(folder) / "set", config, Console(quiet=True))
             found = load_set(Path(folder) / "set")
             registered, viewmats = [int(name) for name in found.names], found.rig.viewmats
-    seconds = time.process_time() - start
-    return poses(viewmats, true_cameras(capture).numpy(), registered) | {"depth": math.nan, "seconds": seconds}
+    return poses(viewmats, true, registered)
 
 
 def poses(found: np.ndarray, true: np.ndarray, registered: Sequence[int]) -> dict[str, float]:

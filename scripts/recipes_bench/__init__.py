@@ -1,0 +1,1 @@
+"""Networks trained on the recipes of a data set, and the classical methods that they are measured against."""
