@@ -22,7 +22,8 @@ APART = (
 
 def header(material: Material, page: Page) -> dict[str, Any]:
     """The first screen: title, verdict, the film strip, the ranking and its chart; and the work done."""
-    found: dict[str, Any] = {"title": material.title, "short": "", "strip": page.strip, "ranking": ranking(material)}
+    found: dict[str, Any] = {"title": material.title, "short": "", "strip": page.strip, "ranking": ranking(material),
+                             "other": [f"run {number}" for number in material.other]}  # fmt: skip
     said = ""
     if (place := material.one) is not None:
         said, found["what"] = verdict(place), what_was_done(place, sum(row["seconds"] for row in costs(material)))

@@ -143,7 +143,7 @@ def _of_many(material: Material, page: Page) -> dict[str, Any]:
     return {
         "many": True, "table": Table("combinations", "Scores of every combination", heads, rows, "scores"),
         "methods": _methods(material),
-        "runs": _runs(material, columns) if material.study else None, "lost": material.lost, "other": material.other,
+        "runs": _runs(material, columns) if material.study else None, "lost": material.lost,
         "in_linear_light": list(dict.fromkeys(line.method for line in lines if line.in_linear_light)),
         "alike": all(line.alike for line in lines), "no_lpips": not any(LPIPS in line.spread for line in lines),
         "pictures": bool(page.views), "floors": not material.study, "seeds": any(len(line.runs) > 1 for line in lines),

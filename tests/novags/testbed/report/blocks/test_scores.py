@@ -43,7 +43,7 @@ def table_of_many(study: bool = False) -> tuple[dict[str, Any], Any]:
     looks = {name: look(name) for name in "ab"}
     material: Any = SimpleNamespace(
         one=None, lines=lines, rows=runs,
-        varied=["level"], looks=looks, lost=0, other=(), study=(Path("f"), {}) if study else None,
+        varied=["level"], looks=looks, lost=0, study=(Path("f"), {}) if study else None,
         made={k: SimpleNamespace(name="ab"[k % 2], run=SimpleNamespace(name="ab"[k % 2])) for k in (1, 2)},
         commands={k: None if k == 2 else f"novags {k}" for k in range(1, 9)}, path=Path("g/report.html"),
     )  # fmt: skip
@@ -79,7 +79,7 @@ def test_what_any_line_has_is_said_of_the_table(last: int, monkeypatch: pytest.M
     lines[last].spread["lit.lpips"] = (0.1, None)
     lines[last].alike = False
     looks = {name: look(name) for name in "ab"}
-    material: Any = SimpleNamespace(one=None, lines=lines, rows=[], varied=[], looks=looks, lost=0, other=(),
+    material: Any = SimpleNamespace(one=None, lines=lines, rows=[], varied=[], looks=looks, lost=0,
                                     study=None, made={}, commands={}, path=Path("g/report.html"))  # fmt: skip
     found = scores.scores(material, SimpleNamespace(views={}))  # type: ignore[arg-type]
     assert (found["seeds"], found["alike"], found["no_lpips"]) == (True, False, False)
@@ -166,7 +166,7 @@ def test_a_line_is_compared_with_all_lines_of_its_place_and_no_other(monkeypatch
 
     monkeypatch.setattr(scores, "_line", seen)
     looks = {name: look(name) for name in "ab"}
-    material: Any = SimpleNamespace(one=None, lines=lines, rows=[], varied=["level"], looks=looks, lost=0, other=(),
+    material: Any = SimpleNamespace(one=None, lines=lines, rows=[], varied=["level"], looks=looks, lost=0,
                                     study=None, made={}, commands={}, path=Path("g/report.html"))  # fmt: skip
     scores.scores(material, SimpleNamespace(views={}))  # type: ignore[arg-type]
     assert near == {"a0": [0], "a1": [1, 2], "b1": [1, 2], "b2": [3]}
@@ -177,7 +177,7 @@ def test_where_no_score_decides_the_places_are_by_the_first_column() -> None:
              for k, name in enumerate("ab")]  # fmt: skip
     lines[0].places["lit.lpips"], lines[1].places["lit.lpips"] = 2, 1  # the other way round
     looks = {name: look(name) for name in "ab"}
-    material: Any = SimpleNamespace(one=None, lines=lines, rows=[], varied=[], looks=looks, lost=0, other=(),
+    material: Any = SimpleNamespace(one=None, lines=lines, rows=[], varied=[], looks=looks, lost=0,
                                     study=None, made={}, commands={}, path=Path("g/report.html"))  # fmt: skip
     table = scores.scores(material, SimpleNamespace(views={}))["table"]  # type: ignore[arg-type]
     assert [[cell.text for cell in row.cells] for row in table.rows] == [
