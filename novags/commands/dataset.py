@@ -40,7 +40,7 @@ def dataset(
     from novags.testbed.study.conduct import conduct
     from novags.testbed.study.plan import plan_of
     from novags.testbed.study.results import CSV, counted
-    from novags.testbed.study.session import describe, refuse_other
+    from novags.testbed.study.session import again, describe, refuse_other
 
     check_numbers(workers, cluster)
     if push is not None:
@@ -63,6 +63,8 @@ def dataset(
     with writing(out, wait) as console:
         console.note(said)
         making.mkdir(exist_ok=True)
+        if why := again(plan, making, folder):
+            console.note(f"dataset: made again, {why}")
         describe(plan, making, folder)
         rows = conduct(plan, making, folder, console, chosen, retry_failed=retry_failed)
         states = counted(rows)
