@@ -7,9 +7,9 @@
         registered, areas under the curve of pair errors, trajectory and depth errors
 
 A SOURCE is spelt as for `novags reconstruct --cameras`: a network needs its own installation and weights. Or it is
-`poses`, of `novags poses` with settings as for `sfm`: it is told a focal length in the header of each photograph, as
-cameras write it, and finds lens and cameras. Rows are kept in DIR/light.csv: the same command continues, and another
-SOURCE comes beside what is there.
+`poses`, of `novags poses` with settings as for `sfm`: photographs without a focal length in their headers, of which it
+finds lens and cameras. Rows are kept in DIR/light.csv: the same command continues, and another SOURCE comes beside what
+is there.
 """
 
 import argparse
@@ -106,25 +106,22 @@ def measured_poses(capture: Any, cameras: str, seed: int) -> dict[str, float]:
     settings = dict(one.split("=") for one in cameras[6:].split(",") if one)
     codes = [np.round(255 * capture.srgb8(i)).astype(np.uint8) for i in range(len(capture.cameras.rig))]
     start = time.process_time()
-    found = found_by_poses(codes, capture.cameras.rig.Ks[0], true_cameras(capture).numpy(), seed, **settings)
+    found = found_by_poses(codes, true_cameras(capture).numpy(), seed, **settings)
     return found | {"depth": math.nan, "seconds": time.process_time() - start}
 
 
-def found_by_poses(
-    codes: Sequence[np.ndarray], K: np.ndarray, true: np.ndarray, seed: int, **settings: Any
-) -> dict[str, float]:
-    """Scores of the cameras that `novags poses` finds of pictures [H, W, 3] uint8 whose headers say a focal length."""
+def found_by_poses(codes: Sequence[np.ndarray], true: np.ndarray, seed: int, **settings: Any) -> dict[str, float]:
+    """Scores of the cameras that `novags poses` finds of pictures [H, W, 3] uint8, against the true ones [C, 4, 4]."""
     from novags.testbed import stages
     from novags.testbed.console.terminal import Console
     from novags.testbed.stages.configs.posing import PosesConfig
     from simscenes import load_set
 
-    exif, registered, viewmats = Image.Exif(), list[int](), np.zeros((0, 4, 4))
-    exif.get_ifd(0x8769)[0xA405] = round(43.267 * K[0, 0] / math.hypot(*codes[0].shape[:2]))  # 35 mm
+    registered, viewmats = list[int](), np.zeros((0, 4, 4))
     with TemporaryDirectory() as folder:
         (taken := Path(folder) / "taken").mkdir()
         for i, picture in enumerate(codes):
-            Image.fromarray(picture).save(taken / f"{i:04d}.png", exif=exif)
+            Image.fromarray(picture).save(taken / f"{i:04d}.png")
         with suppress(ValueError):  # too few views, which is a measurement too
             config = PosesConfig(photographs=taken, seed=seed, **settings)
             stages.poses(Path(folder) / "set", config, Console(quiet=True))

@@ -29,16 +29,16 @@ def shown(light: Tensor) -> Tensor:
     return torch.asinh(STEEP * light) / math.asinh(4 * STEEP)
 
 
-def exposures(file: Path) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+def exposures(file: Path) -> tuple[Tensor, Tensor, Tensor]:
     """All exposures [L + 1, 3, h, w] over their means through the curve, from the darkest to the bright one; electrons
-    of all, [L + 1]; viewmat and K.
+    of all, [L + 1]; viewmat.
     """
     with np.load(file) as held:
         every = np.concatenate([held["dark"], held["bright"][None]]) - held["black"]
         electrons = np.append(held["electrons"], held["bright_electrons"])
-        viewmat, K = held["viewmat"], held["K"]
+        viewmat = held["viewmat"]
     light = torch.from_numpy(every / every.mean((1, 2, 3), keepdims=True))
-    return shown(light), torch.from_numpy(electrons), torch.from_numpy(viewmat), torch.from_numpy(K)
+    return shown(light), torch.from_numpy(electrons), torch.from_numpy(viewmat)
 
 
 def train(rows: list[Row], root: Path, steps: int, seed: int, kept: Path) -> nn.Module:
@@ -73,8 +73,8 @@ def scores(network: nn.Module, rows: list[Row], root: Path) -> Iterator[tuple[Ro
     """(row, "", who, area) of every scene and level, of all its views together."""
     for _, group in groupby(rows, key=lambda row: row["scene"]):
         own = list(group)
-        pictures, electrons, viewmats, Ks = map(torch.stack, zip(*(exposures(root / row["file"]) for row in own),
-                                                                 strict=True))  # fmt: skip
+        every = (exposures(root / row["file"]) for row in own)
+        pictures, electrons, viewmats = map(torch.stack, zip(*every, strict=True))
         true = viewmats.double().numpy()
         for level, light in enumerate(electrons[0].tolist()):  # of the bright exposures too, for a ceiling
             dark, row = pictures[:, level], {**own[0], "electrons": f"{light:g}"}
@@ -82,5 +82,5 @@ def scores(network: nn.Module, rows: list[Row], root: Path) -> Iterator[tuple[Ro
                 clean = restored(network, dark, electrons[:, level])
             for who, seen in (("network", clean), (RIVAL, dark)):
                 codes = (255 * seen.clamp(0, 1)).round().byte().permute(0, 2, 3, 1).numpy()
-                found = found_by_poses(codes, Ks[0].numpy(), true, 0, pictures="raw", mapper=MAPPER)
+                found = found_by_poses(codes, true, 0, pictures="raw", mapper=MAPPER)
                 yield row, "", who, found["rotation_auc5"]

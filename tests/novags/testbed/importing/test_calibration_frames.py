@@ -125,6 +125,7 @@ def test_only_the_middle_is_read_and_keeps_its_pattern(tmp_path: Path) -> None:
     [
         ("TIMES bits", "do not state their bits: give in frames.toml bits = N$"),
         ("bits = 12", r'exposure times: give in frames.toml \[stacks."dark/0"\] and below it time = SECONDS; \[stacks'),
+        ('bits = 12\n[stacks."dark/0"]\nphotons = 3.0', r'exposure times: give in frames.toml \[stacks."dark/0"\]'),
         ("", r'their bits and exposure times: give in frames.toml bits = N; .*\[stacks."dark/4"\] .*"flat/0"\] and'),
         ("bits = 12\nlens = 3", "unknown lens"),
         ("bits = ", "frames.toml"),
