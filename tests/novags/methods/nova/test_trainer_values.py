@@ -283,6 +283,27 @@ def test_an_image_is_kept_for_that_many_denoiser_steps():
     assert ages == [0, 0, 0, 3, 3, 3, 6, 6]
 
 
+def test_memory_of_images_that_will_all_be_made_anew_is_given_back():
+    """Rationale: the images of 43 views of 1 Mpx stayed beside the maps of the network, half a gigabyte."""
+    held_images, denoiser = held(1)
+    before = held_images.images
+    held_images(0), held_images(1)
+    assert held_images.images is before
+    denoiser.step = 1
+    torch.testing.assert_close(held_images(1), clean(held_images.enhanced[1], 1))
+    assert held_images.images is not before
+    assert held_images.steps == {1: 1}
+    second = held_images.images
+    held_images(0)
+    assert held_images.images is second  # both are of one network
+    torch.testing.assert_close(held_images.all_now(), torch.stack([clean(each, 1) for each in held_images.enhanced]))
+    older, denoiser = held(3)
+    before = older.images
+    for denoiser.step in range(5):
+        older(0)
+    assert older.images is before
+
+
 def test_only_an_image_that_is_not_detached_lets_gradients_into_the_denoiser():
     held_images, denoiser = held(1)
     assert not held_images.target(0).requires_grad
