@@ -22,6 +22,7 @@ from novags.methods.nova.sh_penalty import noise_map, penalty_weights
 from novags.methods.problem import Problem
 from novags.methods.reconstruction import Progress, Reconstruction
 from novags.methods.start import start_gaussians
+from novags.process import give_back
 from novags.splats.files.tensors import digest, read, write_tensors
 from novags.splats.gaussians import Gaussians
 from novags.splats.training.fit import LOG_EVERY, fit
@@ -152,6 +153,7 @@ class _Training:
         if self.denoiser is not None:
             self._train_denoiser(self.denoiser, started, progress)
         clean = self.clean.all_now()
+        give_back()  # of the network's maps, before all pictures are read once more
         sh_degree, init_scale = self.config.fit.sh_degree, self.config.init_scale
         dark = problem.encoded(self.config.pictures)
         self.start = start_gaussians(problem.start, dark, clean, sh_degree=sh_degree, init_scale=init_scale)
