@@ -55,7 +55,8 @@ class _PseudoClean:
     def _not_older(self, view: int, age: int) -> Tensor:
         """The image of a view, made anew if the denoiser has done so many steps since, or more."""
         if self.denoiser is not None and (view not in self.steps or self.denoiser.step - self.steps[view] >= age):
-            self._let_go()
+            if self.config.refresh_after == 1 and self.steps and self.denoiser.step not in self.steps.values():
+                self.let_go()  # none of them will be used again
             with torch.no_grad():
                 # Past autograd, which would refuse a graph that holds the image of another view. No graph holds an
                 # image that is made anew: that is done before its first use in an iteration.
@@ -63,13 +64,12 @@ class _PseudoClean:
             self.steps[view] = self.denoiser.step
         return self.images[view]
 
-    def _let_go(self) -> None:
-        """Give back the memory of images that will all be made anew: half a gigabyte of 43 views of 1 Mpx.
+    def let_go(self) -> None:
+        """Give the memory of all images back; they are made anew when they are asked for.
 
-        On a CPU an image takes memory once it is written.
+        On a CPU an image takes memory once it is written: half a gigabyte of 43 views of 1 Mpx.
         """
-        assert self.denoiser is not None
-        if self.config.refresh_after == 1 and self.steps and self.denoiser.step not in self.steps.values():
+        if self.denoiser is not None:
             self.steps.clear()
             del self.images
             self.images = torch.empty_like(self.enhanced)
@@ -145,6 +145,11 @@ class _Training:
         elif checkpoint is not None and checkpoint.exists():
             raise ValueError(f"{checkpoint} lacks the networks that belong to it: delete it, the run then starts over")
 
+    @property
+    def learns_on(self) -> bool:
+        """Whether the denoiser learns beside the fit too."""
+        return self.config.denoiser is not None and self.config.denoiser.denoise_every is not None
+
     def warm_up(self, problem: Problem, progress: Progress | None) -> Gaussians:
         """Train the denoiser alone, then make the Gaussians that the splats start from, coloured by it."""
         if self.start is not None:
@@ -157,6 +162,9 @@ class _Training:
         sh_degree, init_scale = self.config.fit.sh_degree, self.config.init_scale
         dark = problem.encoded(self.config.pictures)
         self.start = start_gaussians(problem.start, dark, clean, sh_degree=sh_degree, init_scale=init_scale)
+        if self.learns_on and self.config.refresh_after == 1:
+            del clean
+            self.clean.let_go()  # before the network's next step, after which none of them will be used again
         self.seconds = time.perf_counter() - started
         self.save()
         return self.start
@@ -228,7 +236,7 @@ class _Training:
         clean = self.clean(step.view)
         made, known = self.clean.steps[step.view], self.noise.get(step.view)
         if known is None or known[0] != made:
-            if self.config.denoiser is not None and self.config.denoiser.denoise_every is not None:
+            if self.learns_on:
                 self.noise.clear()  # a view's image is another one when it is visited again
             known = self.noise[step.view] = (made, noise_map(self.enhanced[step.view], clean))
         assert self.config.sh_weight is not None

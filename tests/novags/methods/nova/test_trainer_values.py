@@ -304,6 +304,16 @@ def test_memory_of_images_that_will_all_be_made_anew_is_given_back():
     assert older.images is before
 
 
+@pytest.mark.parametrize(("every", "left"), [(1, 0), (3, 0), (None, COUNT)])
+def test_all_images_are_let_go_before_the_fit_where_the_network_learns_on(every, left, stage):
+    """Rationale: its next step came beside the images of all views, which it makes worthless."""
+    config, inputs = changed(denoiser=dataclasses.replace(DENOISER, denoise_every=every)), problem()
+    training = trainer._Training(inputs, bright(inputs), config, None)
+    training.warm_up(inputs, None)
+    assert len(training.clean.steps) == left
+    torch.testing.assert_close(training.clean(1), clean(training.enhanced[1], training.denoiser.step))
+
+
 def test_only_an_image_that_is_not_detached_lets_gradients_into_the_denoiser():
     held_images, denoiser = held(1)
     assert not held_images.target(0).requires_grad
