@@ -17,7 +17,6 @@ from torch.utils.checkpoint import checkpoint
 from novags.methods.nova.denoiser_config import MANY, ResUNetConfig
 from novags.methods.nova.layers.normalise import CONSTANT, EPS, normalised
 from novags.process import give_back
-from novags.splats.cpu.memory import clear
 
 FEW = 128  # pixels, those of all images of a batch together
 
@@ -215,8 +214,7 @@ class ResUNet(nn.Module):
         height, width = images.shape[-2:]
         large = images.device.type == "cpu" and height * width >= MANY
         if large:
-            clear()  # or what the splats' kernels keep to use again, and what was freed, would stay beside the maps
-            give_back()
+            give_back()  # what was freed before would stay beside the maps
         multiple = 2 ** len(self.encoder)
         # Two px at the bottleneck: reflection by one pixel does not exist in an image of one.
         down = max(2 * multiple, -(-height // multiple) * multiple) - height
