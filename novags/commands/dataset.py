@@ -63,7 +63,7 @@ def dataset(
     with writing(out, wait) as console:
         console.note(said)
         making.mkdir(exist_ok=True)
-        if why := again(plan, making, folder):
+        if not overwrite and (why := again(plan, making, folder)):
             console.note(f"dataset: made again, {why}")
         describe(plan, making, folder)
         rows = conduct(plan, making, folder, console, chosen, retry_failed=retry_failed)

@@ -160,8 +160,8 @@ def _conduct(
     with writing(out, wait) as console:
         if not overwrite:
             refuse_other(plan, out)
-        if why := again(plan, out, folder):
-            console.note(f"study: made again, {why}")
+            if why := again(plan, out, folder):
+                console.note(f"study: made again, {why}")
         describe(plan, out, folder, url)
         finished = known(plan, Remote(url), folder) if url else None
         rows = conduct(plan, out, folder, console, engine, retry_failed=retry_failed, known=finished, url=url)

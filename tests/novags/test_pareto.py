@@ -27,7 +27,7 @@ def test_all_subjects_are_planned_and_their_files_named(
     named: list[str] = []
     monkeypatch.setattr(study, "plans", lambda *_, **__: [plan_of("render"), plan_of("splats")])
     monkeypatch.setattr(study, "subject_of", lambda plan: plan.name)
-    monkeypatch.setattr(study, "again", lambda *_: None)
+    monkeypatch.setattr(session, "again", lambda *_: "")
     monkeypatch.setattr(study, "told", lambda *_: [])
     monkeypatch.setattr(session, "refuse_other", lambda *_: None)
     monkeypatch.setattr(page, "written", lambda name, out: [out / f"{name}.svg"])
