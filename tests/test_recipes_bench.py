@@ -1,4 +1,4 @@
-"""Networks trained on recipes of data sets, beside their rivals: what is compared is what is said."""
+"""Networks trained on recipes of data sets, and their rivals: both see the same frames and have the same score."""
 
 import csv
 from pathlib import Path

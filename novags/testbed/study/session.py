@@ -93,11 +93,11 @@ def again(plan: StudyPlan, out: Path, store: Path) -> str:
     """How many finished results in the table in `out` have to be made again, and why the first one; "" if none has."""
     rows = read_json(out / TABLE, ROWS)["rows"] if (out / TABLE).exists() else []
     before = {_values(plan, row): out / row["folder"] for row in rows if row["state"] == "done"}
-    found = [(folder, plan.tasks[key]) for cell, key in plan.runs
-             if (folder := before.get(_values(plan, jsonable(cell.values)))) is not None]  # fmt: skip
+    now = {_values(plan, jsonable(cell.values)): plan.tasks[key] for cell, key in plan.runs}
     record = RECORDS[plan.study.ends]
-    found = [(folder, task) for folder, task in found if not (task.folder(store) / SEAL).exists()]
-    other = [(folder, task) for folder, task in found if folder.name != task.name and (folder / record).exists()]
+    other = [(before[values], task) for values, task in now.items()
+             if values in before and before[values].name != task.name and (before[values] / record).exists()
+             and not (task.folder(store) / SEAL).exists()]  # fmt: skip
     if not other:
         return ""
     folder, task = other[0]

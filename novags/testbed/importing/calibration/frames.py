@@ -109,15 +109,15 @@ def read_frames(folder: Path, window: int = 1024, notes_of: Path | None = None) 
 
 
 def _refuse_untold(folder: Path, files: dict[str, list[CalibrationFrame]], notes: dict[str, Any]) -> None:
-    """Refuse frames of which neither the files nor frames.toml say what is needed: all of it at once."""
+    """Refuse frames whose exposure times or bits neither the files nor frames.toml state, and name all of them."""
     timed = {name for name, stack in files.items() if any(file.time is not None for file in stack)}
     told = {name for name, note in notes["stacks"].items() if "time" in note}
     lines = [f'[stacks."{name}"] and below it time = SECONDS' for name in files if name not in timed | told]
-    what = ["exposure times"] if lines else []
+    missing = ["exposure times"] if lines else []
     if notes["bits"] is None and not any(file.bits is not None for stack in files.values() for file in stack):
-        what, lines = ["bits", *what], ["bits = N", *lines]
+        missing, lines = ["bits", *missing], ["bits = N", *lines]
     if lines:
-        raise ValueError(f"the files in {folder} do not state their {' and '.join(what)}: give in frames.toml "
+        raise ValueError(f"the files in {folder} do not state their {' and '.join(missing)}: give in frames.toml "
                          f"{'; '.join(lines)}")  # fmt: skip
 
 
