@@ -6,7 +6,8 @@ Commands and workers call `settle` first. Importing novags changes nothing in a 
 
 import ctypes
 import os
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 
 ENVIRONMENT = {
     # Idle threads of torch's OpenMP spin by default, and steal the time of whatever else runs on a machine with few or
@@ -23,7 +24,10 @@ ENVIRONMENT = {
 # Each iteration of a fit frees its arrays, and the next one asks for the same again. glibc returns them to the system
 # in between, which hands them out again page by page and filled with zeros: a third of the time of a fit whose loss is
 # torch's. Freed memory is kept instead, in blocks of up to the first of these sizes, up to the second in all.
-KEPT = (("MMAP", -3, 64 << 20), ("TRIM", -1, 1 << 30))  # numbers as in malloc.h
+KEPT = {"MMAP": 64 << 20, "TRIM": 1 << 30}
+SPARING = 1 << 20  # bytes; blocks that are larger are returned where memory is short
+_NUMBERS = {"MMAP": -3, "TRIM": -1}  # as in malloc.h
+_settled: set[str] = set()
 
 
 def settle() -> None:
@@ -32,12 +36,31 @@ def settle() -> None:
         os.environ.setdefault(name, value)
     with suppress(AttributeError, OSError, TypeError):  # other C libraries have no mallopt, keeping memory as they like
         mallopt = ctypes.CDLL(None).mallopt
-        for name, number, size in KEPT:
+        for name, size in KEPT.items():
             if f"MALLOC_{name}_THRESHOLD_" not in os.environ:  # else the user's own choice holds
-                mallopt(number, size)
+                mallopt(_NUMBERS[name], size)
+                _settled.add(name)
 
 
 def give_back() -> None:
     """Return freed memory that `settle` keeps to the system, before other arrays are wanted or a peak is measured."""
     with suppress(AttributeError, OSError, TypeError):  # another C library
         ctypes.CDLL(None).malloc_trim(0)
+
+
+@contextmanager
+def sparing(wanted: bool = True) -> Iterator[None]:
+    """Return every large block to the system as soon as it is freed, if `wanted`, and all that is free now.
+
+    The maps of a network on a whole picture have many sizes. What one of them frees is cut into pieces for smaller ones
+    if it is kept, and the next large one finds no place: a step on 1 Mpx would hold a third more than its maps.
+    """
+    wanted = wanted and "MMAP" in _settled
+    if wanted:
+        give_back()
+        ctypes.CDLL(None).mallopt(_NUMBERS["MMAP"], SPARING)
+    try:
+        yield
+    finally:
+        if wanted:
+            ctypes.CDLL(None).mallopt(_NUMBERS["MMAP"], KEPT["MMAP"])

@@ -47,6 +47,32 @@ def test_freed_arrays_are_used_again() -> None:
     assert kept < returned / 10
 
 
+def test_a_part_that_spares_memory_returns_what_it_frees_and_nothing_changes_after_it() -> None:
+    inside = f"{SETTLED}; from novags.process import sparing; part = sparing(); part.__enter__()"
+    assert faults(inside) > 100_000
+    after = f"{SETTLED}; from novags.process import sparing\nwith sparing(): pass"
+    assert faults(after) < faults(inside) / 10
+    assert faults(inside, MALLOC_MMAP_THRESHOLD_="1073741824") < 10_000  # the user's own choice holds there too
+
+
+def test_a_block_that_finds_no_place_in_what_was_freed_does_not_lie_beside_it() -> None:
+    program = """
+import re
+from novags.process import settle, sparing; settle()
+with sparing({wanted}):
+    maps = [b"x" * 50_000_000, b"x" * 2_000_000]
+    maps[0] = None
+    maps += [b"x" * 2_000_000, b"x" * 50_000_000]
+    lines = open("/proc/self/status").read()
+print(re.search(r"VmRSS:\\s+(\\d+)", lines)[1])
+"""
+    held = {}  # kB
+    for wanted in (True, False):
+        command = [sys.executable, "-c", program.format(wanted=wanted)]
+        held[wanted] = int(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+    assert held[True] < held[False] - 30_000
+
+
 def test_settings_of_the_user_hold() -> None:
     assert faults(SETTLED, MALLOC_TRIM_THRESHOLD_="131072") > 10_000
 

@@ -6,15 +6,17 @@ one.
 """
 
 import math
+from contextlib import AbstractContextManager
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
 from novags.methods.nova.blindspot import n2v_loss, replace_masked, sample_mask
-from novags.methods.nova.denoiser_config import DenoiserConfig
+from novags.methods.nova.denoiser_config import MANY, DenoiserConfig
 from novags.methods.nova.packed import demosaiced, packed, turned
 from novags.methods.nova.resunet import ResUNet
+from novags.process import sparing
 from novags.splats.training.companion import masked_step, pack, unpack
 from novags.splats.training.flags import Flags
 from novags.splats.training.guard import NotFinite, all_finite, require_finite
@@ -114,8 +116,9 @@ class Denoiser:
         """The loss, with its gradients in the network."""
         stream, held = self.generator.get_state(), self._gradients()
         held = {name: gradient.clone() for name, gradient in held.items()}  # none unless L_recon reaches the denoiser
-        loss = self.loss()
-        loss.backward()
+        with self._sparing(self.config.crop):
+            loss = self.loss()
+            loss.backward()
         try:
             self._check(loss.item())
         except NotFinite:
@@ -158,7 +161,8 @@ class Denoiser:
 
         Differentiable in the weights, unless it was demosaiced.
         """
-        mixed = self._mixed(self.images[view : view + 1])
+        with self._sparing(None):
+            mixed = self._mixed(self.images[view : view + 1])
         if self.cfa is None:
             return mixed.movedim(0, -1)
         return demosaiced(mixed, self.cfa, *self.size).clamp(0, 1)  # its filters overshoot
@@ -167,6 +171,11 @@ class Denoiser:
         """Another picture [H, W, 3] of the same kind, denoised, without gradient; not of packed mosaics."""
         with torch.no_grad():
             return self._mixed(picture.movedim(-1, 0)[None]).movedim(0, -1)
+
+    def _sparing(self, crop: int | None) -> AbstractContextManager[None]:
+        """How memory is used where the network sees crops, or whole views."""
+        height, width = (min(crop or side, side) for side in self.images.shape[-2:])
+        return sparing(self.flags is None and height * width >= MANY)
 
     def _mixed(self, noisy: Tensor) -> Tensor:
         """The network's estimate for one picture [1, D, H, W], with the configured share of the picture: [D, H, W]."""

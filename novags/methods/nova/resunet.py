@@ -16,7 +16,6 @@ from torch.utils.checkpoint import checkpoint
 
 from novags.methods.nova.denoiser_config import MANY, ResUNetConfig
 from novags.methods.nova.layers.normalise import CONSTANT, EPS, normalised
-from novags.process import give_back
 
 FEW = 128  # pixels, those of all images of a batch together
 
@@ -213,8 +212,6 @@ class ResUNet(nn.Module):
         """
         height, width = images.shape[-2:]
         large = images.device.type == "cpu" and height * width >= MANY
-        if large:
-            give_back()  # what was freed before would stay beside the maps
         multiple = 2 ** len(self.encoder)
         # Two px at the bottleneck: reflection by one pixel does not exist in an image of one.
         down = max(2 * multiple, -(-height // multiple) * multiple) - height
