@@ -55,12 +55,13 @@ def sparing(wanted: bool = True) -> Iterator[None]:
     The maps of a network on a whole picture have many sizes. What one of them frees is cut into pieces for smaller ones
     if it is kept, and the next large one finds no place: a step on 1 Mpx would hold a third more than its maps.
     """
-    wanted = wanted and "MMAP" in _settled
     if wanted:
         give_back()
-        ctypes.CDLL(None).mallopt(_NUMBERS["MMAP"], SPARING)
+    if not wanted or "MMAP" not in _settled:
+        yield
+        return
+    ctypes.CDLL(None).mallopt(_NUMBERS["MMAP"], SPARING)
     try:
         yield
     finally:
-        if wanted:
-            ctypes.CDLL(None).mallopt(_NUMBERS["MMAP"], KEPT["MMAP"])
+        ctypes.CDLL(None).mallopt(_NUMBERS["MMAP"], KEPT["MMAP"])

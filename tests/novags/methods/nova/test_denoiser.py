@@ -1,4 +1,5 @@
 import math
+from contextlib import contextmanager
 
 import pytest
 import torch
@@ -177,3 +178,30 @@ def test_blinding_one_channel_lets_the_others_tell_a_texture_that_no_neighbour_k
     # all three blinded: only the mean is left to say, 0.15² off; two channels' mean: 0.1² / 2
     assert error[False] > 0.7 * 0.15**2
     assert error[True] < 0.8 * 0.1**2
+
+
+@pytest.mark.parametrize(
+    ("crop", "many", "in_steps", "in_views"),
+    [(None, 32 * 32, True, True), (24, 32 * 32, False, True), (None, 32 * 32 + 1, False, False)],
+)
+def test_the_maps_of_large_pictures_alone_are_returned_as_they_are_freed(monkeypatch, crop, many, in_steps, in_views):
+    """In a step until the last gradient is made; of crops it is their own size that counts."""
+    entered = []
+
+    @contextmanager
+    def sparing(wanted):
+        entered.append(wanted)
+        yield
+        entered.append(None)
+
+    monkeypatch.setattr("novags.methods.nova.denoiser.sparing", sparing)
+    monkeypatch.setattr("novags.methods.nova.denoiser.MANY", many)
+    denoiser = Denoiser(scene(), config(crop=crop), total_steps=2, seed=0)
+    seen = []
+    first = next(iter(denoiser.network.parameters()))
+    first.register_hook(lambda gradient: seen.append(entered[-1]))
+    denoiser.train_step()
+    assert seen == [in_steps]
+    entered.clear()
+    denoiser.denoise(0)
+    assert entered == [in_views, None]
