@@ -52,16 +52,18 @@ def give_back() -> None:
 def sparing(wanted: bool = True) -> Iterator[None]:
     """Return every large block to the system as soon as it is freed, if `wanted`, and all that is free now.
 
-    The maps of a network on a whole picture have many sizes. What one of them frees is cut into pieces for smaller ones
-    if it is kept, and the next large one finds no place: a step on 1 Mpx would hold a third more than its maps.
+    Arrays of whole pictures have many sizes. What one of them frees is cut into pieces for smaller ones if it is kept,
+    and the next large one finds no place: a step of a network on 1 Mpx would hold a third more than its maps.
     """
     if wanted:
         give_back()
-    if not wanted or "MMAP" not in _settled:
+    if not wanted or "MMAP" not in _settled:  # also within another one
         yield
         return
+    _settled.remove("MMAP")
     ctypes.CDLL(None).mallopt(_NUMBERS["MMAP"], SPARING)
     try:
         yield
     finally:
         ctypes.CDLL(None).mallopt(_NUMBERS["MMAP"], KEPT["MMAP"])
+        _settled.add("MMAP")

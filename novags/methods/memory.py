@@ -8,6 +8,7 @@ from typing import Any
 from novags.splats.training.config import FitConfig
 
 PICTURE = 12.0  # bytes of a pixel of a picture in float32, red, green and blue
+MANY = 1 << 18  # pixels of a picture, from which on a CPU's memory matters more than the time that it costs
 CUDA = 0.36e9  # bytes more that torch takes, on a CPU too, where it was installed with CUDA (2.13.0: 0.59 for 0.22 GB)
 
 

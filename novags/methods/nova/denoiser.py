@@ -12,8 +12,9 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from novags.methods.memory import MANY
 from novags.methods.nova.blindspot import n2v_loss, replace_masked, sample_mask
-from novags.methods.nova.denoiser_config import MANY, DenoiserConfig
+from novags.methods.nova.denoiser_config import DenoiserConfig
 from novags.methods.nova.packed import demosaiced, packed, turned
 from novags.methods.nova.resunet import ResUNet
 from novags.process import sparing

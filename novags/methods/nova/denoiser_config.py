@@ -5,8 +5,6 @@ from typing import Literal
 
 from novags.numbers import STEPS, check_range
 
-MANY = 1 << 18  # pixels of a picture, from which on a CPU's memory matters more than the time of the network
-
 
 @dataclass(frozen=True, kw_only=True)
 class ResUNetConfig:

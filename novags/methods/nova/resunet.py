@@ -14,7 +14,8 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 from torch.utils.checkpoint import checkpoint
 
-from novags.methods.nova.denoiser_config import MANY, ResUNetConfig
+from novags.methods.memory import MANY
+from novags.methods.nova.denoiser_config import ResUNetConfig
 from novags.methods.nova.layers.normalise import CONSTANT, EPS, normalised
 
 FEW = 128  # pixels, those of all images of a batch together

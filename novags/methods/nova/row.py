@@ -1,8 +1,7 @@
 """NOVA-GS as a row of `METHODS`."""
 
-from novags.methods.memory import PICTURE, Memory
+from novags.methods.memory import MANY, PICTURE, Memory
 from novags.methods.nova.config import NovaConfig, parts
-from novags.methods.nova.denoiser_config import MANY
 from novags.methods.nova.knobs import KNOBS
 from novags.methods.variant import Method
 from sensor_model.files.registry import Later

@@ -16,6 +16,7 @@ from novags.methods.enhancers.applying import enhanced, enhanced_light
 from novags.methods.gaussian_scene import GaussianScene
 from novags.methods.inputs import LacksInput
 from novags.methods.light import first_light
+from novags.methods.memory import MANY
 from novags.methods.noise_estimate import noise_of
 from novags.methods.nova_plus.average import non_local_means
 from novags.methods.nova_plus.bandwidth import choose_bandwidth
@@ -30,7 +31,7 @@ from novags.methods.nova_plus.targets import LEFT, denoised_light, guided_light,
 from novags.methods.problem import Problem, gathered
 from novags.methods.reconstruction import Progress, Reconstruction
 from novags.methods.tone import ToneCurve, tone_curve
-from novags.process import give_back
+from novags.process import sparing
 from novags.splats.gaussians import Gaussians
 from novags.splats.training.config import FitConfig, LearningRates
 from novags.splats.training.fit import FitResult, fit
@@ -106,6 +107,7 @@ class _Work:
         self.progress, self.checkpoint = progress, checkpoint
         self.base = config.fit
         self.views = problem.views
+        self.large = not problem.views.viewmats.is_cuda and problem.views.height * problem.views.width >= MANY
         self.count = config.gaussians_each(len(data) * problem.views.height * problem.views.width)
         self.done, self.total = 0, sum(parts(config).values())
         self.seconds = self.earlier = 0.0  # of all fits, and of the fits in stopped runs before this one
@@ -132,17 +134,17 @@ class _Work:
         It starts from the first points again: the thin, many-layered surfaces of stage 1 average noise well, but show
         the right colours from the wrong depth, and no loss would pull them out of it.
         """
-        give_back()
-        h = self._bandwidth(firsts)
-        targets = self.targets(non_local_means(self._guide(firsts), GUIDE_BANDWIDTH * h), h)
+        with sparing(self.large):
+            h = self._bandwidth(firsts)
+            targets = self.targets(non_local_means(self._guide(firsts), GUIDE_BANDWIDTH * h), h)
         seconds = []
         for seed in range(self.config.seeds):
             config = self._config("structure", seed)
             seconds.append(self._fit("structure", seed, self._first(), targets.__getitem__, config).gaussians)
-        give_back()
-        guide = self._guide(firsts)
-        weights = self.weights(non_local_means(guide, SMOOTH))
-        worse = self._worse("structure", self._mean_tones(seconds), guide, weights)
+        with sparing(self.large):
+            guide = self._guide(firsts)
+            weights = self.weights(non_local_means(guide, SMOOTH))
+            worse = self._worse("structure", self._mean_tones(seconds), guide, weights)
         return (firsts, None) if worse else (seconds, targets)
 
     def _guide(self, firsts: list[Gaussians]) -> Tensor:
@@ -164,7 +166,6 @@ class _Work:
         light = guided_light(guide, self.data, self.curve, h, config.averaged_share, config.least_share)
         expected = (self.curve.light(view) for view in guide)
         del guide  # its memory is wanted once `expected` is used up
-        give_back()
         clean = self.denoised(expected)
         self.found["denoised"] = clean is not None
         for seen, other in zip(light, light if clean is None else clean, strict=True):
@@ -192,7 +193,6 @@ class _Work:
 
     def joined(self, sets: list[Gaussians], targets: Tensor | None) -> Gaussians:
         """All seeds as one set, trained a little further; the first seed alone, if held-out data favour that."""
-        give_back()
         joined = merged(sets)
         loss = Likelihood(self.data, self.curve) if targets is None else None
         config = self._config(
@@ -201,18 +201,19 @@ class _Work:
         )  # fmt: skip
         aim = self.data.fitted_of if targets is None else targets.__getitem__
         joined = self._fit("merged", 0, joined, aim, config, loss).gaussians
-        first = gathered(self._tones(sets[0]), self.data.light)
-        return sets[0] if self._worse("merged", self._tones(joined), first, self.weights(first)) else joined
+        with sparing(self.large):
+            first = gathered(self._tones(sets[0]), self.data.light)
+            return sets[0] if self._worse("merged", self._tones(joined), first, self.weights(first)) else joined
 
     def or_plain(self, ours: Gaussians) -> Gaussians:
         """The whole method's Gaussians; those of a plain fit, if held-out data reject the former beside it."""
-        give_back()
         config = plain_config(self._config("plain", 0), self.config.iterations("plain"))
         plain = self._fit(
             "plain", 0, self._first(), lambda i: self.curve.tone(self.data.fitted_of(i)), config, Distance()
         ).gaussians
-        other = gathered(self._tones(plain), self.data.light)
-        return plain if self._worse("plain", self._tones(ours), other, self.weights(other)) else ours
+        with sparing(self.large):
+            other = gathered(self._tones(plain), self.data.light)
+            return plain if self._worse("plain", self._tones(ours), other, self.weights(other)) else ours
 
     def _worse(self, part: str, tones: Iterable[Tensor], other: Tensor, weights: Tensor) -> bool:
         """Whether the held-out data reject a part. If no data are held out, nothing is judged, and the part is kept."""

@@ -2,7 +2,8 @@
 
 import dataclasses
 import gc
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import pytest
@@ -67,3 +68,37 @@ def test_nova_holds_the_enhanced_pictures_and_the_denoised_ones(problem: Any, mo
     result = nova.train(inputs, config)
     assert most["fit"] == 2
     assert result.targets is not None
+
+
+def test_between_the_fits_of_large_pictures_nova_plus_keeps_nothing_that_it_frees(
+    dark: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    inputs, _ = dark()
+    inside: dict[str, set[bool]] = {}
+    sparing: list[bool] = []
+
+    @contextmanager
+    def watched(wanted: bool) -> Iterator[None]:
+        sparing.append(wanted)
+        yield
+        sparing.pop()
+
+    monkeypatch.setattr(nova_plus, "sparing", watched)
+
+    def asked(name: str, real: Callable[..., Any]) -> Callable[..., Any]:
+        def called(*given: Any, **more: Any) -> Any:
+            inside.setdefault(name, set()).add(any(sparing))
+            return real(*given, **more)
+
+        return called
+
+    for name in ("fit", "choose_bandwidth", "denoised_light", "compare"):
+        monkeypatch.setattr(nova_plus, name, asked(name, getattr(nova_plus, name)))
+    denoise = DenoiseConfig(adapt=AdaptConfig(steps=2, crop=16, batch=1), turns=1)
+    config = NovaPlusConfig(fit=FIT, denoise=denoise, seeds=2)
+    _, height, width, _ = inputs.srgb8.shape
+    for many, large in ((height * width, True), (height * width + 1, False)):
+        monkeypatch.setattr(nova_plus, "MANY", many)
+        inside.clear()
+        nova_plus.train(inputs, config)
+        assert inside == {"fit": {False}, "choose_bandwidth": {large}, "denoised_light": {large}, "compare": {large}}
