@@ -50,7 +50,7 @@ def give_back() -> None:
 
 @contextmanager
 def sparing(wanted: bool = True) -> Iterator[None]:
-    """Return every large block to the system as soon as it is freed, if `wanted`, and all that is free now.
+    """Return large blocks to the system as soon as they are freed, if `wanted`; before, all free memory.
 
     Arrays of whole pictures have many sizes. What one of them frees is cut into pieces for smaller ones if it is kept,
     and the next large one finds no place: a step of a network on 1 Mpx would hold a third more than its maps.
