@@ -57,13 +57,11 @@ def sparing(wanted: bool = True) -> Iterator[None]:
     """
     if wanted:
         give_back()
-    if not wanted or "MMAP" not in _settled:  # also within another one
+    if not wanted or "MMAP" not in _settled:
         yield
         return
-    _settled.remove("MMAP")
     ctypes.CDLL(None).mallopt(_NUMBERS["MMAP"], SPARING)
     try:
         yield
     finally:
         ctypes.CDLL(None).mallopt(_NUMBERS["MMAP"], KEPT["MMAP"])
-        _settled.add("MMAP")
