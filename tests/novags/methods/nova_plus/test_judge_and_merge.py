@@ -181,7 +181,7 @@ def test_the_mean_over_all_seeds_of_each_stage_is_judged(monkeypatch: pytest.Mon
     monkeypatch.setattr(trainer, "non_local_means", lambda guide, h: guide)
     judged = list[Any]()
     work: Any = SimpleNamespace(
-        config=SimpleNamespace(bandwidth=1.0, seeds=3), found={}, curve=None, weights=lambda guide: None,
+        config=SimpleNamespace(bandwidth=1.0, seeds=3), found={}, large=False, curve=None, weights=lambda guide: None,
         targets=lambda guide, h: "targets", _tones=lambda gaussians: gaussians, _first=lambda: None,
         _config=lambda stage, seed: None, _worse=lambda stage, after, before, weights: judged.append((after, before)),
         _fit=lambda stage, seed, *_: SimpleNamespace(gaussians=f"second {seed}"),
