@@ -31,7 +31,7 @@ from novags.methods.nova_plus.targets import LEFT, denoised_light, guided_light,
 from novags.methods.problem import Problem, gathered
 from novags.methods.reconstruction import Progress, Reconstruction
 from novags.methods.tone import ToneCurve, tone_curve
-from novags.process import sparing
+from novags.process import give_back, sparing
 from novags.splats.gaussians import Gaussians
 from novags.splats.training.config import FitConfig, LearningRates
 from novags.splats.training.fit import FitResult, fit
@@ -134,6 +134,7 @@ class _Work:
         It starts from the first points again: the thin, many-layered surfaces of stage 1 average noise well, but show
         the right colours from the wrong depth, and no loss would pull them out of it.
         """
+        give_back()
         with sparing(self.large):
             h = self._bandwidth(firsts)
             targets = self.targets(non_local_means(self._guide(firsts), GUIDE_BANDWIDTH * h), h)
@@ -141,6 +142,7 @@ class _Work:
         for seed in range(self.config.seeds):
             config = self._config("structure", seed)
             seconds.append(self._fit("structure", seed, self._first(), targets.__getitem__, config).gaussians)
+        give_back()
         with sparing(self.large):
             guide = self._guide(firsts)
             weights = self.weights(non_local_means(guide, SMOOTH))
@@ -166,6 +168,7 @@ class _Work:
         light = guided_light(guide, self.data, self.curve, h, config.averaged_share, config.least_share)
         expected = (self.curve.light(view) for view in guide)
         del guide  # its memory is wanted once `expected` is used up
+        give_back()
         clean = self.denoised(expected)
         self.found["denoised"] = clean is not None
         for seen, other in zip(light, light if clean is None else clean, strict=True):
@@ -193,6 +196,7 @@ class _Work:
 
     def joined(self, sets: list[Gaussians], targets: Tensor | None) -> Gaussians:
         """All seeds as one set, trained a little further; the first seed alone, if held-out data favour that."""
+        give_back()
         joined = merged(sets)
         loss = Likelihood(self.data, self.curve) if targets is None else None
         config = self._config(
@@ -207,6 +211,7 @@ class _Work:
 
     def or_plain(self, ours: Gaussians) -> Gaussians:
         """The whole method's Gaussians; those of a plain fit, if held-out data reject the former beside it."""
+        give_back()
         config = plain_config(self._config("plain", 0), self.config.iterations("plain"))
         plain = self._fit(
             "plain", 0, self._first(), lambda i: self.curve.tone(self.data.fitted_of(i)), config, Distance()
